@@ -1,0 +1,79 @@
+# Every target does its own set-up: a machine needs Python (3.11 or later) and make, nothing else.
+# The stamps say what is installed; they are older than pyproject.toml or constraints.txt when those have changed.
+PY := .venv/bin/python
+RUN_STAMP := .venv/.installed
+DEV_STAMP := .venv/.installed-dev
+PYTEST_ARGS ?=
+PYTEST_WORKERS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow lint format types pytest notebooks picture constraints setup clean distclean
+
+help:
+	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
+	@echo 'make test        all checks: ruff, pyright, pytest'
+	@echo 'make test-slow   the tests that take longer than half a minute'
+	@echo 'make lint        ruff only            make format   let ruff mend what it can'
+	@echo 'make types       pyright only         make pytest   tests only (PYTEST_ARGS="-k name")'
+	@echo 'make notebooks   run the notebooks and save them with their pictures'
+	@echo 'make picture     remake the picture of the README'
+	@echo 'make setup       only make .venv and install'
+	@echo 'make constraints take the newest versions that go together into constraints.txt'
+	@echo 'make clean       remove what runs leave behind     make distclean   also .venv'
+
+$(RUN_STAMP): pyproject.toml constraints.txt scripts/setup.sh
+	@sh scripts/setup.sh
+	@touch $@
+
+$(DEV_STAMP): pyproject.toml constraints.txt scripts/setup.sh
+	@sh scripts/setup.sh dev
+	@touch $(RUN_STAMP) $@
+
+demo: $(RUN_STAMP)
+	@$(PY) -m scsr_opt.cli demo
+
+test: lint types pytest
+
+lint: $(DEV_STAMP)
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+
+format: $(DEV_STAMP)
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+# The version check of pyright's wrapper asks the network and only prints; nothing here depends on it.
+types: $(DEV_STAMP)
+	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 $(PY) -m pyright
+
+pytest: $(DEV_STAMP)
+	$(PY) -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
+
+test-slow: $(DEV_STAMP)
+	$(PY) -m pytest -m slow $(PYTEST_ARGS)
+
+notebooks: $(DEV_STAMP)
+	$(PY) scripts/run_notebooks.py
+
+picture: $(RUN_STAMP)
+	$(PY) scripts/first_picture.py docs/first_picture.png
+
+setup: $(DEV_STAMP)
+
+# The newest versions that go together, from an environment of its own; then run the tests with them.
+constraints: $(DEV_STAMP)
+	rm -rf build/fresh
+	$(PY) -m venv build/fresh
+	build/fresh/bin/python -m pip --quiet install hatchling editables
+	build/fresh/bin/python -m pip --quiet install --no-build-isolation --editable '.[dev]'
+	build/fresh/bin/python -m pip freeze --exclude-editable > build/constraints.txt
+	! grep -n -e '@' -e '://' build/constraints.txt
+	{ sed -n '/^#/p' constraints.txt; cat build/constraints.txt; } > constraints.txt.new
+	mv constraints.txt.new constraints.txt
+
+clean:
+	rm -rf demo_output build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -path ./.venv -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+distclean: clean
+	rm -rf .venv

@@ -1,0 +1,31 @@
+"""Super-resolved pictures from spike camera recordings, by solving the imaging model directly.
+
+`reconstruct` is the door; `scsr_opt.camera` reads recordings and simulates them.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from scsr_opt.camera.recording import Recording
+    from scsr_opt.errors import InputError
+    from scsr_opt.reconstruction import reconstruct
+    from scsr_opt.solvers.solution import Result, Solution, Stage
+
+__all__ = ["InputError", "Recording", "Result", "Solution", "Stage", "reconstruct"]
+
+_HOME = {
+    "InputError": "scsr_opt.errors",
+    "Recording": "scsr_opt.camera.recording",
+    "Result": "scsr_opt.solvers.solution",
+    "Solution": "scsr_opt.solvers.solution",
+    "Stage": "scsr_opt.solvers.solution",
+    "reconstruct": "scsr_opt.reconstruction",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded on first use: reading a recording, or `scsr --help`, does not wait for JAX.
+    if name not in _HOME:
+        raise AttributeError(f"module 'scsr_opt' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME[name]), name)

@@ -1,0 +1,222 @@
+"""A recording of a spike camera, in memory or on disk, as one value.
+
+The spikes themselves stay where they are (see `sources`); a `Recording` adds what is needed to make light of them: how
+fast they were read out, how many of them are white, which pixels lie. Spikes are handed out upright, top row first,
+whichever way the file has them.
+"""
+
+import dataclasses
+import math
+import operator
+from dataclasses import dataclass
+from typing import Any, SupportsFloat, SupportsIndex
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from scsr_opt.camera.sources import ArraySource, CroppedSource, SpikeSource, as_spikes, checked_shape
+from scsr_opt.errors import InputError
+
+READOUT_RATE = 40_000.0
+"""Spike frames per second, where nothing else is known."""
+WHITE_RATE = 0.6
+"""Spikes per frame of intensity 1, where nothing else is known: measured on the REDS set and on real recordings."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """Binary frames of a spike camera with what is known of the camera.
+
+    **Fields:**
+    - `source`: where the (T, h, w) spikes are read from. Use `Recording.from_array` or `read_recording` rather than
+      this.
+    - `readout_rate`: spike frames per second, Hz.
+    - `white_rate`: spikes per frame of a pixel that sees intensity 1 (white); the threshold θ is 1 / `white_rate`.
+    - `bad_pixels`: (h, w), True where a pixel must not be used (dead, hot), upright; None where nothing is known of
+      any.
+    - `flipped`: whether the file has the rows bottom-up. Only a note: `window` and `spikes` are upright either way.
+    - `name`: for titles and reports.
+
+    **Raises:** `InputError` if a rate is not a positive number, or `bad_pixels` is not a bool mask of shape (h, w).
+    """
+
+    source: SpikeSource
+    readout_rate: float = READOUT_RATE
+    white_rate: float = WHITE_RATE
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None
+    flipped: bool = False
+    name: str = "recording"
+
+    def __post_init__(self):
+        for name, value in checked_settings(self.shape, self.readout_rate, self.white_rate, self.bad_pixels).items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_array(
+        cls,
+        array: Any,
+        *,
+        readout_rate: SupportsFloat = READOUT_RATE,
+        white_rate: SupportsFloat = WHITE_RATE,
+        bad_pixels: Any = None,
+        name: str = "recording",
+    ) -> "Recording":
+        """A recording of spikes in memory.
+
+        **Arguments:**
+        - `array`: (T, h, w), bool or integer, 0 and 1 only, upright, time first. A uint8 or bool array is not copied,
+          so do not change it afterwards.
+        - the others: as the fields.
+
+        **Raises:** `InputError` if `array` has another number of dimensions, other values, or nothing in it.
+        """
+        spikes = np.asarray(array)
+        checked_shape(spikes.shape, "The array")
+        source = ArraySource(as_spikes(spikes, "The array"))
+        return cls(source, name=name, **checked_settings(source.shape, readout_rate, white_rate, bad_pixels))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(T, h, w): frames, rows, columns."""
+        return self.source.shape
+
+    @property
+    def frames(self) -> int:
+        """T, the number of spike frames."""
+        return self.shape[0]
+
+    @property
+    def height(self) -> int:
+        """h, sensor rows."""
+        return self.shape[1]
+
+    @property
+    def width(self) -> int:
+        """w, sensor columns."""
+        return self.shape[2]
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self.frames / self.readout_rate
+
+    @property
+    def spikes(self) -> UInt8[np.ndarray, "T h w"]:
+        """All frames, upright, one byte a pixel. For a long recording take a `window`."""
+        return self.source.read(0, self.frames)
+
+    def window(self, start: SupportsIndex, stop: SupportsIndex) -> UInt8[np.ndarray, "n h w"]:
+        """Frames `start` to `stop` − 1, upright, 0 and 1; from a file, only their bytes are read.
+
+        **Raises:** `InputError` if it is empty or reaches outside the recording (counting from the end is not
+        supported), or if the file turns out to hold other values there.
+        """
+        first, last = _index(start, "start"), _index(stop, "stop")
+        if not 0 <= first < last <= self.frames:
+            raise InputError(
+                f"The window of frames {first} to {last} (stop excluded) does not lie in {self.name}, which has frames "
+                f"0 to {self.frames - 1}: choose 0 <= start < stop <= {self.frames}."
+            )
+        return self.source.read(first, last)
+
+    def around(self, key: SupportsIndex | None = None, frames: SupportsIndex | None = None) -> tuple[int, int]:
+        """(start, stop) of the `frames` frames around the key frame, for `window`.
+
+        Where the key frame is near an end the window is moved, not shortened, so that it holds as many frames as asked
+        for.
+
+        **Arguments:**
+        - `key`: the key frame, 0-based; the middle one if None.
+        - `frames`: how many; all if None or if the recording has fewer.
+
+        **Raises:** `InputError` if `key` is not a frame of the recording or `frames` is below 1.
+        """
+        middle = self.frames // 2 if key is None else _index(key, "key")
+        if not 0 <= middle < self.frames:
+            raise InputError(
+                f"Key frame {middle} is not in {self.name}, which has {self.frames} frames: choose one from 0 to "
+                f"{self.frames - 1}."
+            )
+        count = self.frames if frames is None else min(_index(frames, "frames"), self.frames)
+        if count < 1:
+            raise InputError(f"A window of {frames} frames holds nothing: ask for at least 1.")
+        start = min(max(middle - count // 2, 0), self.frames - count)
+        return (start, start + count)
+
+    def crop(self, top: int, left: int, height: int, width: int) -> "Recording":
+        """The recording of a rectangle of the sensor, still read from where it lies.
+
+        **Raises:** `InputError` if the rectangle is empty or reaches outside the sensor.
+        """
+        if not (0 <= top < top + height <= self.height and 0 <= left < left + width <= self.width):
+            raise InputError(
+                f"The crop of {height} rows from {top} and {width} columns from {left} does not lie in {self.name}, "
+                f"which has {self.height} rows and {self.width} columns: choose a smaller or another one."
+            )
+        mask = self.bad_pixels
+        if mask is not None:
+            mask = mask[top : top + height, left : left + width]
+        return dataclasses.replace(
+            self,
+            source=CroppedSource(self.source, top, left, height, width),
+            bad_pixels=mask,
+            name=f"{self.name} (crop)",
+        )
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        if copy is False:
+            raise ValueError("A Recording reads its spikes anew each time, so an array without a copy cannot be had.")
+        return self.spikes if dtype is None else self.spikes.astype(dtype, copy=False)
+
+    def __repr__(self) -> str:
+        bad = "unknown" if self.bad_pixels is None else int(np.count_nonzero(self.bad_pixels))
+        return (
+            f"Recording({self.name!r}, {self.frames} frames of {self.width}x{self.height}, {self.duration * 1e3:.4g} "
+            f"ms at {self.readout_rate:g} Hz, white_rate={self.white_rate:g}, bad pixels: {bad}, "
+            f"{'stored bottom-up' if self.flipped else 'stored upright'})"
+        )
+
+
+def checked_settings(
+    shape: tuple[int, int, int], readout_rate: Any, white_rate: Any, bad_pixels: Any
+) -> dict[str, Any]:
+    """The three settings of a recording of `shape` in the types of its fields, from anything that can mean them."""
+    return {
+        "readout_rate": _positive(readout_rate, "readout_rate", "spike frames per second"),
+        "white_rate": _positive(white_rate, "white_rate", "spikes per frame of white"),
+        "bad_pixels": None if bad_pixels is None else _mask(bad_pixels, shape[1:]),
+    }
+
+
+def _positive(value: Any, name: str, unit: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not (math.isfinite(number) and number > 0):
+        raise InputError(f"{name} is {value!r}, but it must be a number above 0, in {unit}.")
+    return number
+
+
+def _index(value: Any, name: str) -> int:
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise InputError(f"{name} is {value!r}, but frames are counted in whole numbers, the first one is 0.") from None
+
+
+def _mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    array = np.asarray(mask)
+    if array.shape != shape:
+        raise InputError(
+            f"bad_pixels has shape {array.shape}, but the sensor has {shape[0]} rows and {shape[1]} columns: give a "
+            f"mask of shape {shape}, True where a pixel is bad, top row first."
+        )
+    if array.dtype == np.bool_:
+        return array
+    if array.dtype.kind not in "iu" or array.max() > 1 or array.min() < 0:
+        raise InputError(
+            f"bad_pixels holds values of type {array.dtype} other than 0 and 1: give True (or 1) where a pixel is bad, "
+            f"for example map > limit."
+        )
+    return array.astype(bool)

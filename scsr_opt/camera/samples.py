@@ -1,0 +1,145 @@
+"""From spikes to intensity measurements Y_i with their exposures (paper, Eq. 2 and 4).
+
+**Spike intervals.** The sensor keeps the residual above its threshold θ, so between two spikes of a pixel, read out in
+frames a < b, it has gathered exactly θ, or c·θ where c − 1 further spikes lie between them: the mean intensity over the
+exposure was Y = c·θ / (b − a). Each end is known to within the frame it was read out in. The crossing lies, on average, in
+the middle of that frame, so the light counted is ½I_a + I_{a+1} + … + I_{b−1} + ½I_b: the exposure is [a, b] on a time axis
+on which frame t sits at t. (Taking the frames a+1 … b instead would show everything half a frame late.)
+
+**Windows.** A fixed window of n frames that holds c spikes measures Y = c·θ / n, with an error of up to θ.
+
+Both are weighted by duration. Intervals of one pixel share their ends, so their errors cancel from one to the next: weighted
+by duration they add up to the exact light between the first and the last spike.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from scsr_opt.errors import InputError
+
+
+class Samples(eqx.Module):
+    """Intensity measurements, one entry a sample, in no particular order.
+
+    **Fields** (all of shape (n,)):
+    - `row`, `column`: the sensor pixel.
+    - `start`, `stop`: the exposure, in frames; frame t sits at time t.
+    - `value`: mean intensity over the exposure, 1 = white (Y_i).
+    - `weight`: ω_i, in frames of exposure; 0 for entries that only pad the arrays.
+    """
+
+    row: Int[np.ndarray, " n"]
+    column: Int[np.ndarray, " n"]
+    start: Float[np.ndarray, " n"]
+    stop: Float[np.ndarray, " n"]
+    value: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+
+    @property
+    def count(self) -> int:
+        """How many samples take part (weight above 0)."""
+        return int(np.count_nonzero(self.weight))
+
+    def padded(self) -> "Samples":
+        """The same samples, padded with weight 0 to one of few lengths, so that compiled code is met again from call to call.
+
+        Lengths are m·2^e with 8 ≤ m < 16: at most an eighth is padding.
+        """
+        n = self.row.size
+        step = 1 << max(0, n.bit_length() - 4)
+        extra = -n % step if n else 1
+
+        def pad(values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
+            return np.pad(values, (0, extra))
+
+        return Samples(
+            pad(self.row), pad(self.column), pad(self.start), pad(self.stop), pad(self.value), pad(self.weight)
+        )
+
+
+def spike_intervals(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    white_rate: float = 0.6,
+    shortest: int | Int[np.ndarray, "h w"] = 1,
+    first_frame: int = 0,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+) -> Samples:
+    """Samples from the intervals between spikes.
+
+    Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in each
+    block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing moves during
+    `shortest` frames, and leaves fewer samples to handle.
+
+    **Arguments:**
+    - `spikes`: (T, h, w), 0 or 1.
+    - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
+    - `shortest`: frames, at least 1; one number or one per pixel.
+    - `first_frame`: time of `spikes[0]`, in frames.
+    - `bad_pixels`: (h, w), true where a pixel must not be used.
+
+    **Returns:** `Samples`; empty if no pixel fired twice.
+    """
+    frames, height, width = spikes.shape
+    by_pixel = np.ascontiguousarray(np.moveaxis(spikes, 0, -1)).reshape(height * width, frames).astype(bool, copy=False)
+    if bad_pixels is not None:
+        by_pixel = by_pixel & ~bad_pixels.reshape(-1, 1)
+    where = np.flatnonzero(by_pixel)  # ordered by pixel, then by time
+    pixel, time = where // frames, where % frames
+    order = np.arange(where.size)
+    if np.any(np.asarray(shortest) > 1):
+        block = time // np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)[pixel]
+        last = np.empty(where.size, bool)  # the last spike of a pixel ends its last interval, however short
+        is_end = np.empty(where.size, bool)
+        if where.size:
+            is_end[0] = last[-1] = True
+            is_end[1:] = (block[1:] != block[:-1]) | (pixel[1:] != pixel[:-1])
+            last[:-1] = pixel[1:] != pixel[:-1]
+            is_end |= last
+        pixel, time, order = pixel[is_end], time[is_end], order[is_end]
+    same = pixel[1:] == pixel[:-1]
+    pixel, begin, end = pixel[1:][same], time[:-1][same], time[1:][same]
+    spikes_counted = (order[1:] - order[:-1])[same]
+    duration = (end - begin).astype(np.float32)
+    return Samples(
+        row=(pixel // width).astype(np.int32),
+        column=(pixel % width).astype(np.int32),
+        start=(begin + first_frame).astype(np.float32),
+        stop=(end + first_frame).astype(np.float32),
+        value=spikes_counted.astype(np.float32) / np.float32(white_rate) / duration,
+        weight=duration,
+    )
+
+
+def windows(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    length: int,
+    white_rate: float = 0.6,
+    first_frame: int = 0,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+) -> Samples:
+    """Samples from counting spikes in consecutive windows of `length` frames (a last, shorter window is left out).
+
+    **Arguments:** as `spike_intervals`; `length` in frames, from 1 to T.
+
+    **Raises:** `InputError` if no whole window fits.
+    """
+    frames, height, width = spikes.shape
+    if not 1 <= length <= frames:
+        raise InputError(f"windows of {length} frames do not fit a recording of {frames}: use a length from 1 to {frames}.")
+    number = frames // length
+    counts = spikes[: number * length].reshape(number, length, height, width).sum(1, dtype=np.float32)
+    begin = np.arange(number, dtype=np.float32) * length + first_frame - 0.5  # frame t covers [t − ½, t + ½]
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.int32)
+    shape = (number, height, width)
+    used = np.ones(shape, np.float32) if bad_pixels is None else np.broadcast_to(~bad_pixels, shape).astype(np.float32)
+    return Samples(
+        row=np.broadcast_to(rows, shape).ravel(),
+        column=np.broadcast_to(columns, shape).ravel(),
+        start=np.broadcast_to(begin[:, None, None], shape).ravel(),
+        stop=np.broadcast_to(begin[:, None, None] + length, shape).ravel(),
+        value=counts.ravel() / np.float32(length * white_rate),
+        weight=used.ravel() * np.float32(length),
+    )

@@ -1,0 +1,96 @@
+"""Entry point of `scsr`: commands, exit codes, and errors in one line.
+
+Exit codes: 0 done; 1 the solve failed and no picture was written; 2 something that was asked for cannot be done (wrong
+arguments, unreadable file, no place to write); 130 interrupted.
+"""
+
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from cyclopts import App, CycloptsError
+
+from scsr_opt.cli.demo import demo
+from scsr_opt.cli.info import info
+from scsr_opt.cli.options import say_error
+from scsr_opt.cli.play import play
+from scsr_opt.cli.simulate import simulate
+from scsr_opt.cli.solve import solve
+from scsr_opt.errors import InputError
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("scsr-opt")
+
+
+app = App(
+    name="scsr",
+    help="Super-resolved pictures from the recordings of a spike camera.\n\n"
+    "A recording holds binary frames: a pixel fires when it has gathered a fixed amount of light since its last spike. "
+    "Intensity is linear, 1 = white; frames are counted from 0; velocities are in sensor pixels per frame.",
+    help_epilogue="Exit codes: 0 done, 1 the solve failed (no picture written), 2 the request cannot be carried out.",
+    help_format="plaintext",
+    version=_version,
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+)
+for _command in (info, simulate, play, solve, demo):
+    # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
+    app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs `scsr` with `arguments` (those of the process if None) and returns its exit code.
+
+    What is wrong with the request is said in one line on standard error. With SCSR_TRACEBACK=1 in the environment every
+    error keeps its traceback, for finding faults in the program itself.
+    """
+    try:
+        with _warnings_in_one_line():
+            code = app(list(sys.argv[1:] if arguments is None else arguments), exit_on_error=False, print_error=False)
+            sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except KeyboardInterrupt:
+        return _fail("interrupted.", 130)
+    except BrokenPipeError:
+        # Whoever read the output has seen enough. Python would complain once more when it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if os.environ.get("SCSR_TRACEBACK"):
+            raise
+        return _fail(_sentence(error), 2)
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, CycloptsError | InputError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}." if error.filename else f"{error.strerror}."
+    if isinstance(error, ValueError):  # an argument that a solver, a prior or an operator refuses
+        return str(error)
+    return f"{type(error).__name__}: {error} (a fault of the program; SCSR_TRACEBACK=1 shows where)"
+
+
+def _fail(sentence: str, code: int) -> int:
+    say_error(sentence)
+    return code
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Shows the project's own warnings as one line each; those of libraries are for developers and not shown."""
+
+    def show(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
+        if issubclass(category, UserWarning) and "scsr_opt" in filename:
+            print("scsr: warning:", " ".join(str(message).split()), file=sys.stderr, flush=True)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield

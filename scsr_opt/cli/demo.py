@@ -1,0 +1,37 @@
+"""`scsr demo`: the whole path on a simulated recording."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import Quiet, progress, say_error
+from scsr_opt.errors import InputError
+
+
+def demo(
+    *,
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="Folder to write to; it is made if it is not there.")
+    ] = Path("demo_output"),
+    quiet: Quiet = False,
+) -> int:
+    """Simulate a moving scene, solve it at four times the resolution, and show both side by side.
+
+    Takes about a minute. Writes the recording, the picture, a report and a figure.
+    """
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder {output} cannot be made: {(error.strerror or str(error)).lower()}.") from error
+    from scsr_opt.demo import run
+    from scsr_opt.report.files import check_writable
+
+    check_writable(output / "figure.png")
+    outcome = run(output, progress=progress(quiet))
+    if not outcome.solution.result.good:
+        say_error(f"{outcome.solution.result.sentence} No picture was written.")
+        return 1
+    if not quiet:
+        print("\n".join(outcome.lines))
+    return 0

@@ -1,0 +1,88 @@
+"""`scsr info`: what is in a recording."""
+
+from json import dumps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import File, Quiet, Reading, progress
+from scsr_opt.report.progress import Progress
+
+if TYPE_CHECKING:
+    import scsr_opt.camera
+
+
+def info(
+    file: File,
+    /,
+    *,
+    reading: Reading | None = None,
+    json: Annotated[bool, Parameter(negative="", show_default=False, help="Print the numbers as JSON.")] = False,
+    quiet: Quiet = False,
+) -> int:
+    """Show what is in a recording: size, duration, firing rates, pixels that look wrong.
+
+    Rates are in spikes per pixel and frame; the rate of a white pixel is what --white-rate is for.
+    """
+    recording = (reading or Reading()).open(file)
+    facts = describe(recording, progress(quiet))
+    facts["file"] = file.as_posix()
+    if json:
+        print(dumps(facts, indent=1))
+    elif not quiet:
+        print("\n".join(_lines(file, facts)))
+    return 0
+
+
+def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[str, Any]:
+    """The facts of a recording as plain numbers; it is read in windows, whatever its length."""
+    import numpy as np
+
+    step = max(1, (32 << 20) // (recording.height * recording.width))
+    counts = np.zeros((recording.height, recording.width), np.int64)
+    meter.start(recording.frames, "Counting spikes")
+    try:
+        for start in range(0, recording.frames, step):
+            stop = min(start + step, recording.frames)
+            counts += recording.window(start, stop).sum(axis=0, dtype=np.int64)
+            meter.advance(stop - start)
+    finally:
+        meter.finish()
+    rates = counts / recording.frames
+    low, median, high = (float(value) for value in np.percentile(rates, [0.1, 50, 99.9]))
+    bad = recording.bad_pixels
+    return {
+        "frames": recording.frames,
+        "width": recording.width,
+        "height": recording.height,
+        "readout_rate": float(recording.readout_rate),
+        "duration": float(recording.duration),
+        "stored_bottom_up": recording.flipped,
+        "spikes": int(counts.sum()),
+        "white_rate": float(recording.white_rate),
+        "rate_mean": float(rates.mean()),
+        "rate_low": low,
+        "rate_median": median,
+        "rate_high": high,
+        "bad_pixels": None if bad is None else int(np.count_nonzero(bad)),
+        "silent_pixels": int(np.count_nonzero(counts == 0)),
+        "always_firing_pixels": int(np.count_nonzero(counts == recording.frames)),
+    }
+
+
+def _lines(file: Path, facts: dict[str, Any]) -> list[str]:
+    milliseconds = facts["duration"] * 1e3
+    bad = "not known" if facts["bad_pixels"] is None else f"{facts['bad_pixels']:,}"
+    table = {
+        "sensor": f"{facts['width']} x {facts['height']} pixels",
+        "frames": f"{facts['frames']:,} at {facts['readout_rate']:g} Hz = {milliseconds:.4g} ms",
+        "rows stored": "bottom-up" if facts["stored_bottom_up"] else "top-down",
+        "spikes": f"{facts['spikes']:,}, {facts['rate_mean']:.4g} per pixel and frame",
+        "firing rate": f"{facts['rate_low']:.4g} darkest, {facts['rate_median']:.4g} median, {facts['rate_high']:.4g} "
+        f"brightest (0.1 %, 50 %, 99.9 % of the pixels)",
+        "white rate": f"{facts['white_rate']:g} spikes per frame is taken for white",
+        "bad pixels": f"{bad}; never fired: {facts['silent_pixels']:,}; fired in every frame: "
+        f"{facts['always_firing_pixels']:,}",
+    }
+    return [str(file), *(f"  {name:<12} {value}" for name, value in table.items())]

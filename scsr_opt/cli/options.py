@@ -1,0 +1,119 @@
+"""Options that several commands share.
+
+`scsr_opt.camera` is imported when a recording is opened; its types stand in quotes, by their full names.
+"""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from scsr_opt.errors import InputError
+from scsr_opt.report.files import check_writable
+from scsr_opt.report.progress import NoProgress, Progress, RichProgress
+
+if TYPE_CHECKING:
+    import scsr_opt.camera
+
+FILE_GROUP = Group("Reading the recording", sort_key=2)
+
+File = Annotated[
+    Path, Parameter(help="The recording: .dat (flat, packed), .npz, .npy, .h5 or .hdf5.", allow_leading_hyphen=False)
+]
+Quiet = Annotated[
+    bool, Parameter(name=["--quiet", "-q"], negative="", show_default=False, help="Print nothing but errors.")
+]
+
+
+@Parameter(name="*", group=FILE_GROUP)
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How a recording is to be read."""
+
+    size: Annotated[
+        str | None,
+        Parameter(
+            help="WIDTHxHEIGHT of the sensor in pixels, such as 400x250; only .dat files need it, if not in their name."
+        ),
+    ] = None
+    flip: Annotated[
+        bool | None,
+        Parameter(
+            help="Whether the file stores the rows bottom-up. Default: yes for .dat (as cameras do), no for others."
+        ),
+    ] = None
+    row_bits: Annotated[
+        int | None, Parameter(help="Bits per row of a .dat file with padded rows, such as 416. Default: found out.")
+    ] = None
+    array: Annotated[
+        str | None, Parameter(help="Name of the array that holds the spikes in an .npz or HDF5 file, if it is unusual.")
+    ] = None
+    white_rate: Annotated[
+        float | None,
+        Parameter(help="Spikes per frame of a white pixel (intensity 1). Default: the file's, else 0.6."),
+    ] = None
+    readout_rate: Annotated[float | None, Parameter(help="Frames per second, Hz. Default: the file's, else 40000.")] = (
+        None
+    )
+    bad_pixels: Annotated[
+        Path | None,
+        Parameter(
+            help="A .npy file with a (height, width) mask, upright; pixels marked 1 are not used. Default: the file's."
+        ),
+    ] = None
+
+    def open(self, file: Path) -> "scsr_opt.camera.Recording":
+        """Opens `file`. **Raises:** `InputError` if it cannot be read in this way."""
+        from scsr_opt.camera import read_recording
+
+        return read_recording(
+            file,
+            size=self.size,
+            flip=self.flip,
+            row_bits=self.row_bits,
+            key=self.array,
+            white_rate=self.white_rate,
+            readout_rate=self.readout_rate,
+            bad_pixels=self.bad_pixels,
+        )
+
+
+def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:
+    """The key frame: `key`, or the middle one if None. **Raises:** `InputError` if the recording has no such frame."""
+    recording.around(key, 1)
+    return recording.frames // 2 if key is None else key
+
+
+def progress(quiet: bool) -> Progress:
+    """Bars on standard error where somebody is there to see them."""
+    return NoProgress() if quiet or not sys.stderr.isatty() else RichProgress()
+
+
+def check_outputs(inputs: list[Path], **outputs: Path | None) -> None:
+    """Finds out before the work starts whether every output can be written.
+
+    **Arguments:**
+    - `inputs`: files that are read, which no output may replace.
+    - `outputs`: option (`output`, `report`, …) → path, None where it was not given.
+
+    **Raises:** `InputError` if one cannot be written, would replace an input, or two are the same file.
+    """
+    seen: dict[Path, str] = {}
+    for name, path in outputs.items():
+        if path is None:
+            continue
+        option = name.replace("_", "-")
+        check_writable(path)
+        real = path.resolve()
+        if any(real == source.resolve() for source in inputs):
+            raise InputError(f"--{option} {path} is the file that is read: give the output another name.")
+        if real in seen:
+            raise InputError(f"--{option} and --{seen[real]} are both {path}: give them different names.")
+        seen[real] = option
+
+
+def say_error(sentence: str) -> None:
+    """One line on standard error, as every error of `scsr` is said."""
+    print("scsr: error:", " ".join(sentence.split()), file=sys.stderr, flush=True)

@@ -1,0 +1,125 @@
+"""`scsr play`: a recording made visible without solving anything."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import File, Quiet, Reading, check_outputs, key_frame, progress
+from scsr_opt.errors import InputError
+from scsr_opt.report.progress import Progress
+
+if TYPE_CHECKING:
+    import scsr_opt.camera
+
+Method = Literal["tfp", "tfi", "stp"]
+
+# Playback from intervals looks back to the last spikes of a pixel: enough frames for pixels that fire 5 times in 1000.
+_CONTEXT = 1001
+
+
+def play(
+    file: File,
+    /,
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(
+            name=["--output", "-o"],
+            help="Picture (.png, .tif, .npz) or film (.gif, .mp4) to write. Default: FILE_METHOD.png in this folder.",
+        ),
+    ] = None,
+    method: Annotated[
+        Method,
+        Parameter(
+            help="tfp: mean over a window of frames; tfi: from the interval between two spikes; "
+            "stp: from a model of short-term plasticity."
+        ),
+    ] = "tfp",
+    key: Annotated[int | None, Parameter(help="Frame to show, from 0. Default: the middle one. Pictures only.")] = None,
+    window: Annotated[int, Parameter(help="Frames that tfp averages over.")] = 21,
+    start: Annotated[int, Parameter(help="First frame of a film.")] = 0,
+    stop: Annotated[int | None, Parameter(help="Frame before which a film ends. Default: the end.")] = None,
+    step: Annotated[
+        int | None, Parameter(help="Frames from one picture of a film to the next. Default: about 100 pictures in all.")
+    ] = None,
+    rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = 25.0,
+    bits: Annotated[int | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
+    gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    reading: Reading | None = None,
+    quiet: Quiet = False,
+) -> int:
+    """Show a recording as a picture of one moment, or as a film.
+
+    Written are linear intensities, 1 = white, unless --gamma is given. If all is dark, lower --white-rate: the
+    rate to use for white is what `scsr info` calls the brightest.
+    """
+    from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
+
+    target = Path(f"{file.stem}_{method}.png") if output is None else output
+    is_film = target.suffix.lower() in FILM_ENDINGS
+    if is_film:
+        check_film(target)
+        if key is not None or bits is not None:
+            raise InputError(f"--key and --bits are for pictures, but {target} is a film: leave them out.")
+        if not (0 < rate <= 1000):
+            raise InputError(f"--rate is {rate:g}, but it must be above 0 and at most 1000 pictures per second.")
+    else:
+        PictureFormat.of(target, bits=bits, gamma=gamma)
+    check_outputs([file], output=target)
+    recording = (reading or Reading()).open(file)
+    player = _Player(recording, method, window)
+    if is_film:
+        moments = _moments(recording, start, stop, step)
+        count = write_film(target, player.film(moments, progress(quiet)), rate=rate, gamma=gamma)
+        made = f"{count} pictures of frames {moments[0]} to {moments[-1]}, every {moments.step}."
+    else:
+        moment = key_frame(recording, key)
+        write_picture(target, player.picture(moment), bits=bits, gamma=gamma)
+        made = f"frame {moment} by {method}."
+    if not quiet:
+        print(f"{target}: {made}")
+    return 0
+
+
+def _moments(recording: "scsr_opt.camera.Recording", start: int, stop: int | None, step: int | None) -> range:
+    last = recording.frames if stop is None else stop
+    if not 0 <= start < last <= recording.frames:
+        raise InputError(
+            f"A film from frame {start} to {last} does not lie in the recording, which has {recording.frames} frames: "
+            f"choose 0 <= --start < --stop <= {recording.frames}."
+        )
+    if step is not None and step < 1:
+        raise InputError(f"--step is {step}, but pictures of a film are at least 1 frame apart.")
+    return range(start, last, max(1, (last - start) // 100) if step is None else step)
+
+
+class _Player:
+    """Playback of a recording at any frame; only the frames around it are read."""
+
+    def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int):
+        self._recording = recording
+        self._method = method
+        self._window = window
+        if window < 1:
+            raise InputError(f"--window is {window}, but at least 1 frame is needed.")
+
+    def picture(self, moment: int) -> Any:
+        from scsr_opt import camera
+
+        frames = self._window if self._method == "tfp" else _CONTEXT
+        start, stop = self._recording.around(moment, frames)
+        spikes, white_rate = self._recording.window(start, stop), self._recording.white_rate
+        if self._method == "tfp":
+            return camera.tfp(spikes, moment - start, window=self._window, white_rate=white_rate)
+        function = camera.tfi if self._method == "tfi" else camera.stp
+        return function(spikes, moment - start, white_rate=white_rate)
+
+    def film(self, moments: range, meter: Progress) -> Any:
+        meter.start(len(moments), "Playing")
+        try:
+            for moment in moments:
+                yield self.picture(moment)
+                meter.advance(1)
+        finally:
+            meter.finish()

@@ -1,0 +1,127 @@
+"""What all motion estimates here share: short pictures along the recording, moved to the key frame and compared.
+
+A recording is cut into stretches of a few frames; each gives a picture I_b at time τ_b from the key frame. With the right
+motion d, the pictures J_b(q) = I_b(q + d(q, τ_b)) all show the key frame, and agree. If the velocity is wrong by δ, they
+drift: J_b ≈ J̄ + τ_b ∇J̄·δ. So δ follows from the slope of J_b over τ_b, a regression over the whole recording (Gauss–Newton
+on the variance along the motion), where two playbacks would use two of its moments only. Times far from the key frame are
+taken in step by step: at 40,000 frames a second the near ones hardly move, and nothing has to be guessed.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+from scipy.ndimage import gaussian_filter
+
+from scsr_opt.camera.rates import interval_rates
+from scsr_opt.motion.trajectory import bilinear
+
+
+class Stretches(NamedTuple):
+    """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame."""
+
+    picture: Float[Array, "n h w"]
+    after: Float[Array, " n"]
+
+
+def stretches(
+    spikes: Shaped[np.ndarray, "T h w"], *, key: int, white_rate: float | int = 0.6, most: int = 25
+) -> Stretches:
+    """The recording as at most `most` pictures of equal length (four frames or more), edge to edge."""
+    frames = spikes.shape[0]
+    length = max(4, -(-frames // most)) if frames >= 8 else max(frames // 2, 1)
+    number = max((frames - 1) // length, 1)
+    first = (frames - 1 - number * length) / 2
+    edges = first + length * np.arange(number + 1)
+    middle = (edges[1:] + edges[:-1]) / 2 - key
+    return Stretches(jnp.asarray(interval_rates(spikes, edges, white_rate=white_rate)), jnp.asarray(middle, jnp.float32))
+
+
+class Drift(NamedTuple):
+    """The pictures along a motion, reduced to what an update of the motion needs.
+
+    **Fields:** `mean` (h, w) J̄ and its gradient `slope` (2, h, w); for the regressors τ and τ²/2, taken without their mean
+    over the moments at which q is in view: `change` (2, h, w) = Σ_b (basis)(J_b − J̄), `spread` (2, 2, h, w) =
+    Σ_b (basis)(basis)ᵀ; `residual` (h, w) = Σ_b (J_b − J̄)², and `seen` (h, w), the number of moments.
+    """
+
+    mean: Float[Array, "h w"]
+    slope: Float[Array, "2 h w"]
+    change: Float[Array, "2 h w"]
+    spread: Float[Array, "2 2 h w"]
+    residual: Float[Array, "h w"]
+    seen: Float[Array, "h w"]
+
+
+def drift(
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
+    taking_part: Float[Array, " n"],
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+) -> Drift:
+    """`Drift` of the pictures along a motion. Moments with `taking_part` 0 are left out."""
+    height, width = pictures.shape[1:]
+    rows, columns = jnp.meshgrid(
+        jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
+    )
+
+    def moved(arguments: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        picture, tau, part = arguments
+        there = jnp.stack([rows, columns]) + tau * velocity + 0.5 * tau**2 * acceleration
+        inside = (there[0] >= 0) & (there[1] >= 0) & (there[0] <= height - 1) & (there[1] <= width - 1)
+        return bilinear(picture[None], there[0], there[1])[0], inside * part
+
+    aligned, weight = jax.lax.map(moved, (pictures, after, taking_part))
+    seen = weight.sum(0)
+    count = jnp.maximum(seen, 1e-6)
+    mean = (weight * aligned).sum(0) / count
+    residual = aligned - mean
+    basis = jnp.stack([after, after**2 / 2])
+    centred = basis[:, :, None, None] - jnp.einsum("nhw,qn->qhw", weight, basis)[:, None] / count
+    weighted = weight * centred
+    edged = jnp.pad(mean, 1, mode="edge")
+    slope = jnp.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2
+    return Drift(
+        mean=mean,
+        slope=slope,
+        change=jnp.einsum("qnhw,nhw->qhw", weighted, residual),
+        spread=jnp.einsum("qnhw,rnhw->qrhw", weighted, centred),
+        residual=(weight * residual**2).sum(0),
+        seen=seen,
+    )
+
+
+def presmoothed(pictures: Stretches, sigma: float | int) -> Stretches:
+    """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken."""
+    blurred = gaussian_filter(np.asarray(pictures.picture), sigma, axes=(1, 2), mode="nearest")
+    return pictures._replace(picture=jnp.asarray(blurred))
+
+
+# The widest window that `smooth` is asked for, in sensor pixels.
+_REACH = 18
+
+
+def smooth(values: Float[Array, "... h w"], sigma: Float[Array, ""]) -> Float[Array, "... h w"]:
+    """Gaussian smoothing over the last two axes (σ up to 6, cut off at 3σ); beyond the border its values continue.
+
+    σ is data, not part of the compiled code: one compilation serves all windows.
+    """
+    reach = jnp.minimum(jnp.ceil(3 * sigma).astype(jnp.int32), _REACH)
+    offsets = jnp.arange(-_REACH, _REACH + 1)
+    distance = offsets.astype(values.dtype) / sigma
+    taps = jnp.where(jnp.abs(offsets) <= reach, jnp.exp(-0.5 * distance**2), 0)
+    taps = taps / taps.sum()
+    for axis in (values.ndim - 2, values.ndim - 1):
+        border = [(0, 0)] * values.ndim
+        border[axis] = (_REACH, _REACH)
+        wide = jnp.pad(values, border, mode="edge")
+        length = values.shape[axis]
+
+        def add(k: Array, total: Array, wide: Array = wide, axis: int = axis, length: int = length) -> Array:
+            return total + taps[k] * jax.lax.dynamic_slice_in_dim(wide, k, length, axis)
+
+        values = jax.lax.fori_loop(_REACH - reach, _REACH + reach + 1, add, jnp.zeros_like(values))
+    return values

@@ -1,0 +1,87 @@
+"""Motion of the whole scene with few numbers: translation or affine, with acceleration."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
+from scsr_opt.motion.trajectory import Motion
+
+# (frames from the key frame that take part, presmoothing in sensor pixels, Gauss–Newton steps): from near and blurred to
+# everything and sharp.
+_SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 5))
+
+
+def parametric(
+    pictures: Stretches, *, affine: bool = True, start: Motion | None = None
+) -> Motion:
+    """One velocity (and acceleration) for the whole scene, or one that varies linearly over the picture.
+
+    Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion, occlusion),
+    by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, twice that with the
+    acceleration that is fitted last. `start` gives a first velocity (its mean is used).
+    """
+    height, width = pictures.picture.shape[1:]
+    rows, columns = np.mgrid[0:height, 0:width]
+    size = max(height, width)
+    shapes = [np.ones((height, width)), (rows - (height - 1) / 2) / size, (columns - (width - 1) / 2) / size]
+    basis = jnp.asarray(np.stack(shapes if affine else shapes[:1]), jnp.float32)
+    velocity = jnp.zeros((basis.shape[0], 2), jnp.float32)
+    if start is not None:
+        velocity = velocity.at[0].set(jnp.asarray(start.velocity.mean((1, 2)), jnp.float32))
+    acceleration = jnp.zeros_like(velocity)
+    for reach, sigma, steps in _SCHEDULE:
+        part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
+        with_acceleration = reach == np.inf and pictures.after.shape[0] >= 4
+        velocity, acceleration = _fit(
+            presmoothed(pictures, sigma), part, basis, velocity, acceleration, jnp.asarray(steps), with_acceleration
+        )
+    field = np.asarray(jnp.einsum("phw,pc->chw", basis, velocity))
+    change = np.asarray(jnp.einsum("phw,pc->chw", basis, acceleration))
+    return Motion(field, change, np.ones((height, width), np.float32))
+
+
+@partial(jax.jit, static_argnames=("with_acceleration",))
+def _fit(
+    pictures: Stretches,
+    part: Float[Array, " n"],
+    basis: Float[Array, "p h w"],
+    velocity: Float[Array, "p 2"],
+    acceleration: Float[Array, "p 2"],
+    steps: Int[Array, ""],
+    with_acceleration: bool,
+) -> tuple[Float[Array, "p 2"], Float[Array, "p 2"]]:
+    orders = 2 if with_acceleration else 1
+    unknowns = orders * 2 * basis.shape[0]
+
+    def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        velocity, acceleration = carry
+        now = drift(
+            pictures.picture,
+            pictures.after,
+            part,
+            jnp.einsum("phw,pc->chw", basis, velocity),
+            jnp.einsum("phw,pc->chw", basis, acceleration),
+        )
+        # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
+        mismatch = smooth(now.residual / jnp.maximum(now.seen, 1), jnp.asarray(1.5))
+        trust = 1 / (1 + (mismatch / (3 * jnp.median(mismatch) + 1e-12)) ** 2)
+        matrix = jnp.einsum(
+            "qrhw,hw,chw,dhw,phw,ohw->qcprdo",
+            now.spread[:orders, :orders], trust, now.slope, now.slope, basis, basis, optimize="optimal",
+        ).reshape(unknowns, unknowns)  # fmt: skip
+        right = -jnp.einsum("qhw,hw,chw,phw->qcp", now.change[:orders], trust, now.slope, basis, optimize="optimal")
+        # Unit diagonal: velocities and accelerations differ by orders of magnitude. A trace of damping keeps the step
+        # finite where the picture has no texture.
+        scale = 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12)
+        scaled = matrix * scale[:, None] * scale[None, :] + 1e-6 * jnp.eye(unknowns, dtype=matrix.dtype)
+        update = (jnp.linalg.solve(scaled, right.reshape(-1) * scale) * scale).reshape(orders, 2, -1)
+        velocity = velocity + update[0].T
+        if with_acceleration:
+            acceleration = acceleration + update[1].T
+        return velocity, acceleration
+
+    return jax.lax.fori_loop(0, steps, step, (velocity, acceleration))

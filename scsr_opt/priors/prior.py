@@ -1,0 +1,30 @@
+"""What a prior Ψ of Eq. 4 has to offer to the solvers."""
+
+from typing import Generic, TypeVar
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+State = TypeVar("State")
+
+
+class Prior(eqx.Module, Generic[State]):
+    """An image prior Ψ (paper, Eq. 4), used through its value and its proximal step (paper, Eq. 5, second line).
+
+    Priors are values: whatever a proximal step wants to remember from one call to the next (the dual variable of total
+    variation, say) travels through `state`, so that a solver can warm-start it and nothing is hidden.
+    """
+
+    def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
+        """Ψ(image)."""
+        raise NotImplementedError
+
+    def initial_state(self, image: Float[Array, "H W"]) -> State:
+        """The state from which a first proximal step on a picture like `image` starts."""
+        raise NotImplementedError
+
+    def prox(
+        self, image: Float[Array, "H W"], strength: Float[Array, ""], state: State
+    ) -> tuple[Float[Array, "H W"], State]:
+        """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call."""
+        raise NotImplementedError

@@ -1,0 +1,251 @@
+"""The figure that says on one page whether a reconstruction is worth having.
+
+Top: what playback gives, enlarged, beside the result. Middle: the same small part of both, chosen where there is most
+to see. Bottom: the motion that was found, and how the iteration converged. A known truth (simulations) makes a third
+column.
+
+Drawn with matplotlib's objects and none of its global figures, so it works in notebooks, in threads and without a
+display.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float, Num
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
+from scsr_opt.solvers.solution import Solution
+
+_INK = "#222222"
+_FAINT = "#777777"
+_ACCENT = "#c8102e"
+_MARGIN, _GUTTER, _TITLE = 0.15, 0.12, 0.3
+_STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "text.color": _INK,
+    "axes.edgecolor": _FAINT,
+    "axes.labelcolor": _FAINT,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": _FAINT,
+    "ytick.color": _FAINT,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+}
+
+
+def bicubic(image: Num[Any, "h w"], scale: int) -> Float[np.ndarray, "H W"]:
+    """Bicubic interpolation by `scale`: the enlargement to compare with. Pixel p's centre comes to s·p + (s − 1)/2."""
+    from skimage.transform import resize
+
+    small = np.asarray(image, dtype=np.float32)
+    return np.asarray(resize(small, [side * scale for side in small.shape], order=3), dtype=np.float32)
+
+
+def figure(
+    recording: Any,
+    solution: Solution,
+    *,
+    scale: int,
+    key: int | None = None,
+    white_rate: float | None = None,
+    window: int = 21,
+    truth: Num[Any, "H W"] | None = None,
+    title: str | None = None,
+) -> Figure:
+    """Draws a solution beside the playback of its recording.
+
+    **Arguments:**
+    - `recording`: a `Recording`, or spikes (T, h, w).
+    - `solution`: of that recording; its `stages` and `velocity` may be missing.
+    - `scale`: HR pixels per sensor pixel, the one that was solved for.
+    - `key`: the key frame; the middle one if None.
+    - `white_rate`: spikes per frame of white; the recording's own (0.6 for an array) if None.
+    - `window`: frames that the playback (TFP) averages over.
+    - `truth`: (H, W), the picture of the key frame where it is known.
+    - `title`: over everything; none if None.
+
+    **Returns:** a matplotlib `Figure`; `figure.savefig(path)` writes it, a notebook shows it.
+
+    **Raises:** `InputError` if the key frame is not in the recording.
+    """
+    from scsr_opt.camera import Recording, tfp
+
+    source = recording if isinstance(recording, Recording) else Recording.from_array(recording)
+    rate = source.white_rate if white_rate is None else white_rate
+    middle = source.frames // 2 if key is None else key
+    start, stop = source.around(middle, window)
+    playback = np.asarray(tfp(source.window(start, stop), middle - start, window=window, white_rate=rate))
+    columns = {f"Playback (TFP, {window} frames), bicubic ×{scale}": bicubic(playback, scale)}
+    columns[f"Reconstruction ×{scale}"] = np.asarray(solution.image)
+    if truth is not None:
+        columns["Truth"] = np.asarray(truth)
+    return compare(columns, solution, scale=scale, title=title)
+
+
+def compare(
+    columns: dict[str, Num[Any, "H W"]],
+    solution: Solution | None = None,
+    *,
+    scale: int = 1,
+    title: str | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+) -> Figure:
+    """Pictures of one scene side by side, whole and enlarged; below, motion and convergence of `solution` if given.
+
+    **Arguments:**
+    - `columns`: name → picture (H, W), all of one size. They share one grey scale, so that brightness compares.
+    - `scale`: HR pixels per sensor pixel.
+    - `crop`: (top, left, height, width) in pixels of the part to enlarge; chosen by `detailed_part` if None.
+    """
+    pictures = {name: np.asarray(image, dtype=np.float32) for name, image in columns.items()}
+    judged = np.asarray(solution.image if solution is not None else list(pictures.values())[-1])
+    height, width = judged.shape
+    velocity = None if solution is None or solution.velocity is None else np.asarray(solution.velocity)
+    top, left, tall, wide = detailed_part(judged, velocity, scale=scale) if crop is None else crop
+    white = _white_level(pictures.values())
+
+    page = 10.0 if len(pictures) < 3 else 13.0
+    column = (page - 2 * _MARGIN - (len(pictures) - 1) * _GUTTER) / len(pictures)
+    # All in inches from the top left corner: pictures of a known shape need no layout engine, only this sum.
+    first = _MARGIN + (0.4 if title else 0.0) + _TITLE
+    second = first + column * height / width + _GUTTER
+    third = second + column * tall / wide + 2 * _GUTTER + _TITLE
+    bottom = min(max(0.36 * page * height / width, 2.0), 3.0)
+    end = third + bottom + 0.45 if solution is not None else third - 2 * _GUTTER - _TITLE + _MARGIN
+    with matplotlib.rc_context(_STYLE):
+        drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
+        if title:
+            drawn.text(_MARGIN / page, 1 - _MARGIN / end, title, va="top", fontsize=13, fontweight="bold")
+        for number, (name, image) in enumerate(pictures.items()):
+            x = _MARGIN + number * (column + _GUTTER)
+            whole = _axes(drawn, x, first, column, column * height / width)
+            _picture(whole, image, white)
+            whole.set_title(name, loc="left", fontsize=10)
+            whole.add_patch(Rectangle((left - 0.5, top - 0.5), wide, tall, fill=False, color=_ACCENT, linewidth=1.0))
+            near = _axes(drawn, x, second, column, column * tall / wide)
+            _picture(near, image[top : top + tall, left : left + wide], white)
+            for spine in near.spines.values():
+                spine.set(visible=True, color=_ACCENT, linewidth=1.0)
+        if solution is not None:
+            shape = (height // scale, width // scale)
+            across = min(bottom * width / height, 0.36 * page)
+            _motion(drawn, velocity, shape, _MARGIN, third, across)
+            _convergence(drawn, solution, page / 2 + 0.6, third, page / 2 - 0.6 - _MARGIN, bottom)
+    return drawn
+
+
+def detailed_part(
+    image: Num[Any, "H W"], velocity: Num[Any, "2 h w"] | None = None, *, scale: int = 1, share: float = 0.24
+) -> tuple[int, int, int, int]:
+    """The part of a picture where there is most to see, and where it moves: (top, left, height, width) in pixels.
+
+    Its score is the mean of the gradient's magnitude, capped so that a single hard edge does not outweigh texture,
+    times one plus the mean speed over the largest; parts within 4 sensor pixels of the border are left out.
+
+    **Arguments:**
+    - `velocity`: sensor pixels per frame, on the sensor's grid.
+    - `share`: of the picture's width and height, but at least 16 sensor pixels.
+    """
+    from scipy.ndimage import uniform_filter
+
+    pixels = np.clip(np.nan_to_num(np.asarray(image, dtype=np.float32)), 0.0, 1.0)
+    height, width = pixels.shape
+    tall = min(max(round(height * share), 16 * scale), height)
+    wide = min(max(round(width * share), 16 * scale), width)
+    size: Any = (tall, wide)
+    down, right = np.gradient(pixels) if min(height, width) > 1 else (np.zeros_like(pixels), np.zeros_like(pixels))
+    detail = np.hypot(down, right)
+    detail = np.minimum(detail, np.percentile(detail, 99.0))
+    score = uniform_filter(detail, size=size, mode="constant")
+    if velocity is not None:
+        speed = np.nan_to_num(np.hypot(*np.asarray(velocity, dtype=np.float32)))
+        speed = np.kron(speed, np.ones((scale, scale), np.float32))
+        if speed.shape == pixels.shape and speed.max() > 1e-3:
+            score *= 1.0 + uniform_filter(speed, size=size, mode="constant") / np.percentile(speed, 99.5).clip(1e-3)
+    edge = min(4 * scale, (height - tall) // 2, (width - wide) // 2)
+    # The filter's value at (i, j) is the mean over the part that begins at (i − tall//2, j − wide//2).
+    starts = score[
+        tall // 2 + edge : tall // 2 + height - tall - edge + 1, wide // 2 + edge : wide // 2 + width - wide - edge + 1
+    ]
+    top, left = np.unravel_index(int(np.argmax(starts)), starts.shape)
+    return (int(top) + edge, int(left) + edge, tall, wide)
+
+
+def _white_level(pictures: Any) -> float:
+    """The intensity shown as white: a little below the brightest of all, so that dim recordings can be seen."""
+    level = max(float(np.percentile(np.nan_to_num(image), 99.7)) for image in pictures)
+    return min(max(level, 1e-3), 1.2)
+
+
+def _axes(drawn: Figure, x: float, y: float, wide: float, tall: float) -> Axes:
+    """Axes whose top left corner is at (x, y), in inches from that of the figure."""
+    page, end = drawn.get_size_inches()
+    return drawn.add_axes((x / page, 1 - (y + tall) / end, wide / page, tall / end))
+
+
+def _picture(axes: Axes, image: Num[Any, "H W"], white: float) -> None:
+    axes.imshow(np.asarray(image), cmap="gray", vmin=0.0, vmax=white, interpolation="nearest", aspect="auto")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _motion(drawn: Figure, velocity: Any, shape: tuple[int, int], x: float, y: float, across: float) -> None:
+    """The velocity field `across` inches wide, its legend to the right of it."""
+    tall = across * shape[0] / shape[1]
+    axes = _axes(drawn, x, y, across, tall)
+    field = np.zeros((2, *shape), np.float32) if velocity is None else velocity
+    fastest = full_speed(field)
+    axes.imshow(motion_colours(field, fastest), interpolation="nearest", aspect="auto")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set(visible=True, color=_FAINT, linewidth=0.6)
+    axes.set_title("Motion: none" if fastest == 0.0 else "Motion", loc="left", fontsize=10)
+    if fastest > 0.0:
+        legend = _axes(drawn, x + across + _GUTTER, y, 0.7, 0.7)
+        legend.imshow(colour_wheel(), extent=(-1, 1, -1, 1))
+        legend.set_axis_off()
+        text = f"rim: {fastest:g}\nsensor pixels\nper frame"
+        legend.annotate(text, (0, -0.1), xycoords="axes fraction", va="top", fontsize=8, color=_FAINT)
+
+
+def _convergence(drawn: Figure, solution: Solution, x: float, y: float, wide: float, tall: float) -> None:
+    stages = solution.stages
+    if not stages:
+        axes = _axes(drawn, x, y, wide, tall)
+        axes.set_axis_off()
+        axes.set_title("Convergence: not recorded", loc="left", fontsize=10)
+        return
+    number = [stage.number for stage in stages]
+    each = (tall - 1.5 * _TITLE) / 2
+    upper = _axes(drawn, x, y, wide, each)
+    _curve(upper, number, [stage.objective for stage in stages])
+    ending = solution.result.name.replace("_", " ")
+    upper.set_title(f"Objective: {len(stages)} iterations, {ending}", loc="left", fontsize=10)
+    upper.tick_params(labelbottom=False)
+    lower = _axes(drawn, x, y + tall - each, wide, each)
+    _curve(lower, number, [stage.residual for stage in stages])
+    lower.set_title("Relative residual", loc="left", fontsize=10)
+    lower.set_xlabel("iteration")
+
+
+def _curve(axes: Axes, number: Sequence[int], values: Sequence[float]) -> None:
+    finite = np.array([value if math.isfinite(value) else np.nan for value in values], dtype=np.float64)
+    mark = "." if len(number) == 1 else ""
+    axes.plot(number, finite, color=_INK, linewidth=1.2, marker=mark)
+    positive = finite[np.isfinite(finite) & (finite > 0)]
+    # A logarithm needs positive values, and is of use only where they span a good part of a decade.
+    if positive.size == np.isfinite(finite).sum() and positive.size and positive.max() > 3 * positive.min():
+        axes.set_yscale("log")
+    axes.margins(x=0.01)

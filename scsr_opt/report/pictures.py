@@ -1,0 +1,271 @@
+"""Pictures to files, by ending: PNG, TIFF, NPZ, and the moving ones GIF and MP4.
+
+A picture is linear intensity, 1 = white. By default the numbers go into the file as they are, so that what is read back
+can be measured; viewers take PNG for gamma-encoded and show it darker than the scene was. `gamma` = 2.2 stores it for
+looking at.
+"""
+
+import os
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Num, UInt8, UInt16
+
+from scsr_opt.errors import InputError
+from scsr_opt.report.files import whole_file
+
+PICTURE_BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".npz": (32,)}
+"""Endings of still pictures with the bits per pixel that each can have, the default first; 32 is floating point."""
+FILM_ENDINGS = (".gif", ".mp4")
+
+
+@dataclass(frozen=True)
+class PictureFormat:
+    """How a picture is stored.
+
+    **Fields:**
+    - `ending`: `.png`, `.tif`, `.tiff` or `.npz`.
+    - `bits`: per pixel. 8 and 16 are whole numbers, of which the largest is white; 32 is floating point, not clipped.
+    - `gamma`: intensity^(1/gamma) is stored; 1 is linear. Only for whole numbers.
+    """
+
+    ending: str
+    bits: int
+    gamma: float = 1.0
+
+    @classmethod
+    def of(cls, path: str | os.PathLike[str], *, bits: int | None = None, gamma: float = 1.0) -> "PictureFormat":
+        """The format for `path`, to be asked before the picture is made.
+
+        **Raises:** `InputError` if the ending is not known or cannot have these bits, or gamma is not above 0.
+        """
+        ending = Path(path).suffix.lower()
+        if ending not in PICTURE_BITS:
+            raise InputError(
+                f"Cannot tell the format of {path}: its ending is {ending or 'missing'!r}, but pictures end in "
+                f"{', '.join(PICTURE_BITS)}."
+            )
+        allowed = PICTURE_BITS[ending]
+        if bits is not None and bits not in allowed:
+            raise InputError(
+                f"{bits} bits per pixel cannot be stored in {ending}: choose "
+                f"{' or '.join(map(str, sorted(allowed)))}, or another ending."
+            )
+        chosen = allowed[0] if bits is None else bits
+        if not (np.isfinite(gamma) and gamma > 0):
+            raise InputError(f"gamma is {gamma}, but it must be above 0: 1 for linear intensity, 2.2 for looking at.")
+        if chosen == 32 and gamma != 1.0:
+            raise InputError(f"gamma is {gamma:g}, but 32-bit pictures hold linear intensity: leave it at 1.")
+        return cls(ending, chosen, gamma)
+
+
+def quantise(
+    image: Num[Any, "H W"], *, bits: int = 8, gamma: float = 1.0
+) -> UInt8[np.ndarray, "H W"] | UInt16[np.ndarray, "H W"]:
+    """Linear intensity as whole numbers: 0 is black, 2^bits − 1 is intensity 1; what lies outside [0, 1] is clipped.
+
+    **Raises:** `InputError` if a value is not finite.
+    """
+    linear = _finite(image)
+    white = 2**bits - 1
+    stored = np.clip(linear, 0.0, 1.0) ** (1.0 / gamma) * white
+    return np.rint(stored).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def write_picture(
+    path: str | os.PathLike[str],
+    image: Num[Any, "H W"],
+    *,
+    bits: int | None = None,
+    gamma: float = 1.0,
+    extras: dict[str, Any] | None = None,
+) -> PictureFormat:
+    """Writes a picture in the format that the ending of `path` names; a file of that name is replaced at the end.
+
+    **Arguments:**
+    - `image`: (H, W), linear intensity, 1 = white.
+    - `bits`, `gamma`: see `PictureFormat`; `bits` None takes 8 for PNG, 16 for TIFF, floating point for NPZ.
+    - `extras`: more arrays to store beside the picture (`image`) in an NPZ; other formats leave them out.
+
+    **Returns:** the format that was written.
+
+    **Raises:** `InputError` if the format is not possible, a value is not finite, or the file cannot be written.
+    """
+    chosen = PictureFormat.of(path, bits=bits, gamma=gamma)
+    linear = _finite(image)
+    stored = linear if chosen.bits == 32 else quantise(linear, bits=chosen.bits, gamma=gamma)
+    with whole_file(path) as temporary:
+        if chosen.ending == ".npz":
+            np.savez_compressed(temporary, image=stored, **(extras or {}))
+        elif chosen.ending == ".png":
+            from PIL import Image
+
+            Image.fromarray(stored).save(temporary, format="PNG")
+        else:
+            import tifffile
+
+            tifffile.imwrite(temporary, stored, photometric="minisblack")
+    return chosen
+
+
+def load_pixels(path: str | os.PathLike[str]) -> np.ndarray:
+    """The pixels of a picture file as they are stored: (H, W), or (H, W, 3 or 4) in colour; of an NPZ, its `image`.
+
+    **Raises:** `InputError` if there is no such file, or it is not a picture.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise InputError(f"There is no picture {source}: check the path.")
+    if source.suffix.lower() == ".npz":
+        try:
+            with np.load(source) as stored:
+                return stored["image"]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise InputError(f"{source} does not hold an array `image`, as NPZ pictures do.") from error
+    try:
+        if source.suffix.lower() in (".tif", ".tiff"):
+            import tifffile
+
+            return tifffile.imread(source)
+        from PIL import Image
+
+        with Image.open(source) as stored:
+            direct = stored.mode in ("L", "RGB", "RGBA", "F") or stored.mode.startswith("I;16")
+            # Palettes, bits and the like are ways of storing; what is meant are grey levels or colours.
+            return np.asarray(stored if direct else stored.convert("L" if stored.mode in ("1", "LA") else "RGB"))
+    except Exception as error:  # each kind of file is damaged in its own way
+        raise InputError(f"{source} cannot be read as a picture.") from error
+
+
+def read_picture(path: str | os.PathLike[str]) -> Float[np.ndarray, "H W"]:
+    """A picture file as intensity (H, W) float32, 1 = white.
+
+    Whole numbers are divided by the largest that their type can hold, colours become luma (see `camera.as_intensity`).
+    Floating-point values are returned as they are stored.
+
+    **Raises:** `InputError` if there is no such file, or it is not one picture.
+    """
+    pixels = load_pixels(path)
+    if pixels.ndim == 2 and pixels.dtype.kind == "f":
+        return pixels.astype(np.float32)
+    from scsr_opt.camera.pictures import as_intensity
+
+    return as_intensity(pixels, str(path)).astype(np.float32)
+
+
+def check_film(path: str | os.PathLike[str]) -> None:
+    """Finds out before the frames are made whether `path` can be written as a film.
+
+    **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in FILM_ENDINGS:
+        raise InputError(
+            f"Cannot tell the format of {path}: its ending is {ending or 'missing'!r}, but films end in "
+            f"{' or '.join(FILM_ENDINGS)}."
+        )
+    if ending == ".mp4":
+        _encoder()
+
+
+def write_film(
+    path: str | os.PathLike[str],
+    frames: Iterable[Num[Any, "H W"]],
+    *,
+    rate: float = 25.0,
+    gamma: float = 1.0,
+) -> int:
+    """Writes pictures as a film; they are taken one at a time, so a long film needs no more memory than a short one.
+
+    **Arguments:**
+    - `path`: ends in `.gif` or `.mp4`. MP4 needs the program `ffmpeg`.
+    - `frames`: pictures (H, W), linear intensity, all of one size.
+    - `rate`: pictures per second. A GIF counts in hundredths of a second, so it comes out at the nearest such rate.
+    - `gamma`: as in `PictureFormat`.
+
+    **Returns:** the number of pictures.
+
+    **Raises:** `InputError` if the format is not possible, there is no frame, or the file cannot be written.
+    """
+    check_film(path)
+    counter = _Counter(quantise(frame, gamma=gamma) for frame in frames)
+    first = next(counter, None)
+    if first is None:
+        raise InputError("A film needs at least one picture, but there is none.")
+    everything = chain([first], counter)
+    with whole_file(path) as temporary:
+        if temporary.suffix.lower() == ".gif":
+            _write_gif(temporary, everything, rate)
+        else:
+            _write_mp4(temporary, everything, first.shape, rate)
+    return counter.count
+
+
+class _Counter:
+    """An iterator that knows how many it has handed out."""
+
+    def __init__(self, items: Iterator[np.ndarray]):
+        self._items = items
+        self.count = 0
+
+    def __iter__(self) -> "_Counter":
+        return self
+
+    def __next__(self) -> np.ndarray:
+        item = next(self._items)
+        self.count += 1
+        return item
+
+
+def _write_gif(path: Path, frames: Iterator[np.ndarray], rate: float) -> None:
+    from PIL import Image
+
+    pictures = (Image.fromarray(frame) for frame in frames)
+    milliseconds = max(round(100.0 / rate), 1) * 10
+    next(pictures).save(
+        path, format="GIF", save_all=True, append_images=pictures, duration=milliseconds, loop=0, optimize=False
+    )
+
+
+def _write_mp4(path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], rate: float) -> None:
+    command = [_encoder(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "gray"]
+    command += ["-video_size", f"{shape[1]}x{shape[0]}", "-framerate", f"{rate:g}", "-i", "-"]
+    # Players want whole pairs of pixels and 4:2:0 colour, grey or not.
+    command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", str(path)]
+    encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert encoder.stdin is not None and encoder.stderr is not None
+    try:
+        for frame in frames:
+            encoder.stdin.write(frame.tobytes())
+    except BrokenPipeError:
+        pass  # the encoder has given up; its message follows
+    except BaseException:
+        encoder.kill()
+        encoder.communicate()
+        raise
+    _, message = encoder.communicate()
+    if encoder.returncode != 0:
+        lines = message.decode(errors="replace").strip().splitlines()
+        raise InputError(f"ffmpeg could not write the film: {lines[-1] if lines else 'it gave no reason'}.")
+
+
+def _encoder() -> str:
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise InputError("An MP4 needs the program ffmpeg, which is not on this machine: install it, or write a .gif.")
+    return found
+
+
+def _finite(image: Any) -> Float[np.ndarray, "H W"]:
+    linear = np.asarray(image, dtype=np.float32)
+    wrong = int(np.count_nonzero(~np.isfinite(linear)))
+    if wrong:
+        raise InputError(f"{wrong} of the picture's {linear.size} values are not finite, so it is not written.")
+    return linear

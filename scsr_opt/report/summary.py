@@ -1,0 +1,167 @@
+"""What there is to say of a reconstruction in numbers: for a JSON file, and in three lines for a reader."""
+
+import dataclasses
+import enum
+import importlib.metadata
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scsr_opt.report.files import whole_file
+from scsr_opt.solvers.solution import Solution, Stage
+
+_VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")
+
+
+@dataclass(frozen=True)
+class Report:
+    """A solution's numbers, without its arrays.
+
+    **Fields** (all of them plain: str, int, float, bool, None, and lists and dictionaries of these):
+    - `recording`: name, frames, width, height, readout_rate (Hz), white_rate (spikes per frame of white), bad_pixels
+      (how many).
+    - `picture`: width, height, scale, key, and the least, mean and greatest intensity (1 = white).
+    - `result`: name, sentence, good.
+    - `motion`: mean and greatest speed, sensor pixels per frame; None where no motion was used.
+    - `stats`: as the solution has them.
+    - `stages`: one dictionary per iteration, as `Stage` but without its arrays.
+    - `seconds`: what took how long, where it was measured.
+    - `versions`: Python and the packages that the numbers depend on.
+    """
+
+    recording: dict[str, Any]
+    picture: dict[str, Any]
+    result: dict[str, Any]
+    motion: dict[str, Any] | None
+    stats: dict[str, Any]
+    stages: list[dict[str, Any]]
+    seconds: dict[str, float]
+    versions: dict[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        recording: Any,
+        solution: Solution,
+        *,
+        scale: int,
+        key: int,
+        white_rate: float | None = None,
+        seconds: Mapping[str, float] | None = None,
+    ) -> "Report":
+        """The report of a solution of a `Recording` for key frame `key`; `seconds` is taken over as it is."""
+        image = np.asarray(solution.image)
+        bad = recording.bad_pixels
+        motion = None
+        if solution.velocity is not None:
+            speed = np.hypot(*np.asarray(solution.velocity, dtype=np.float64))
+            motion = {
+                "unit": "sensor pixels per frame",
+                "mean_speed": float(speed.mean()),
+                "top_speed": float(speed.max()),
+            }
+        return cls(
+            recording={
+                "name": recording.name,
+                "frames": recording.frames,
+                "width": recording.width,
+                "height": recording.height,
+                "readout_rate": plain(recording.readout_rate),
+                "white_rate": plain(recording.white_rate if white_rate is None else white_rate),
+                "bad_pixels": None if bad is None else int(np.count_nonzero(bad)),
+            },
+            picture={
+                "width": image.shape[1],
+                "height": image.shape[0],
+                "scale": scale,
+                "key": key,
+                "minimum": plain(image.min()),
+                "mean": plain(image.mean(dtype=np.float64)),
+                "maximum": plain(image.max()),
+            },
+            result={
+                "name": solution.result.name,
+                "sentence": solution.result.sentence,
+                "good": solution.result.good,
+            },
+            motion=plain(motion),
+            stats=plain(solution.stats),
+            stages=[_stage(stage) for stage in solution.stages],
+            seconds={name: round(float(value), 4) for name, value in (seconds or {}).items()},
+            versions=versions(),
+        )
+
+    def lines(self) -> list[str]:
+        """The report for a reader: what was made of what, how it ended, how long it took."""
+        seen, made = self.recording, self.picture
+        lines = [
+            f"{seen['name']}: {seen['frames']} frames of {seen['width']}x{seen['height']}, key frame {made['key']} "
+            f"-> {made['width']}x{made['height']} (x{made['scale']})"
+        ]
+        if self.motion is not None:
+            lines.append(
+                f"Motion: {self.motion['mean_speed']:.3g} sensor pixels per frame in the mean, "
+                f"{self.motion['top_speed']:.3g} at most."
+            )
+        iterations = self.stats.get("iterations", len(self.stages))
+        took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
+        lines.append(f"{iterations} iterations{took}. {self.result['sentence']}")
+        return lines
+
+    def json(self) -> str:
+        """The report as indented JSON; what is not a number (NaN, infinity) is null."""
+        return json.dumps(dataclasses.asdict(self), indent=1, allow_nan=False, ensure_ascii=False)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes the JSON. **Raises:** `InputError` if the file cannot be written."""
+        with whole_file(path) as temporary:
+            temporary.write_text(self.json() + "\n", encoding="utf-8")
+
+
+def versions() -> dict[str, str]:
+    """The versions of Python and of the packages that results depend on; those not installed are left out."""
+    found = {"python": platform.python_version()}
+    for name in _VERSIONS_OF:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def plain(value: Any) -> Any:
+    """`value` in terms of JSON: NumPy and JAX scalars become numbers, arrays lists, enumerations their names, NaN None.
+
+    What is none of these becomes its `str`, so that a report is never lost to one odd entry.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(name): plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(entry) for entry in value]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if hasattr(value, "__array__"):
+        return plain(np.asarray(value).tolist())
+    return value.as_posix() if isinstance(value, Path) else str(value)
+
+
+def _stage(stage: Stage) -> dict[str, Any]:
+    numbers = ("number", "objective", "data", "prior", "residual", "step_size", "seconds")
+    return {name: plain(getattr(stage, name)) for name in numbers}

@@ -1,0 +1,149 @@
+"""The loop that all native solvers share: jitted chunks of iterations, a record of each, early stop, progress."""
+
+import abc
+import time
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.solution import Result, Stage
+
+State = TypeVar("State")
+
+# Iterations between two looks from outside. At 20 the loop loses 5 % to being interrupted.
+CHUNK = 20
+
+
+class Progress(Protocol):
+    """What is told of the progress of long work; `scsr_opt.report` has one for terminals."""
+
+    def start(self, total: int, what: str) -> None: ...
+    def advance(self, done: int) -> None: ...
+    def finish(self) -> None: ...
+
+
+class Record(NamedTuple):
+    """The numbers of a `Stage`, as arrays."""
+
+    data: Float[Array, "..."]
+    prior: Float[Array, "..."]
+    residual: Float[Array, "..."]
+    step_size: Float[Array, "..."]
+
+
+class Solver(eqx.Module, Generic[State]):
+    """A method for `Problem`. It is a value; what changes from iteration to iteration is in its state.
+
+    **Fields:**
+    - `iterations`: the most that are done.
+    - `tolerance`: it ends when the relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step, is below it.
+    """
+
+    iterations: eqx.AbstractVar[int]
+    tolerance: eqx.AbstractVar[float]
+
+    @abc.abstractmethod
+    def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:
+        """The state before the first iteration, from a first picture."""
+
+    @abc.abstractmethod
+    def step(self, problem: Problem, state: State) -> tuple[State, Record]:
+        """One iteration."""
+
+    @abc.abstractmethod
+    def image(self, state: State) -> Float[Array, "H W"]:
+        """X^(t)."""
+
+    @abc.abstractmethod
+    def gradient_step(self, state: State) -> Float[Array, "H W"]:
+        """R^(t) of Eq. 5, the argument of the latest proximal step."""
+
+
+class Outcome(NamedTuple):
+    """What a solve gives back."""
+
+    image: Float[np.ndarray, "H W"]
+    stages: tuple[Stage, ...]
+    result: Result
+    state: Any
+
+
+def run(
+    solver: Solver,
+    problem: Problem,
+    image: Float[Array, "H W"],
+    *,
+    state: Any = None,
+    progress: Progress | None = None,
+    keep_images: bool = False,
+) -> Outcome:
+    """Runs `solver` on `problem` from `image`, or goes on from `state`.
+
+    A value that is not finite ends the run at once; the picture before it is returned. With `keep_images` every stage
+    keeps R^(t) and X^(t), and each iteration is a chunk of its own.
+    """
+    begin = time.perf_counter()
+    state = _init(solver, problem, image) if state is None else state
+    chunk = 1 if keep_images else CHUNK
+    stages: list[Stage] = []
+    result = Result.iterations_exhausted
+    if progress is not None:
+        progress.start(solver.iterations, "solving")
+    while len(stages) < solver.iterations:
+        most = jnp.asarray(min(chunk, solver.iterations - len(stages)), jnp.int32)
+        state, records, done, finite, met = _advance(solver, problem, state, most, chunk)
+        done, seconds = int(done), time.perf_counter() - begin
+        pictures: dict[str, Any] = {}
+        if keep_images:
+            pictures = {"image": np.asarray(solver.image(state)), "gradient_step": np.asarray(solver.gradient_step(state))}
+        table = np.stack([np.asarray(column)[:done] for column in records], axis=1).astype(float)
+        for data, prior, residual, step_size in table:
+            stages.append(
+                Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures)
+            )
+        if progress is not None:
+            progress.advance(done)
+        if not bool(finite):
+            result = Result.non_finite
+            break
+        if bool(met):
+            result = Result.converged
+            break
+    if progress is not None:
+        progress.finish()
+    return Outcome(np.asarray(solver.image(state)), tuple(stages), result, state)
+
+
+@eqx.filter_jit
+def _init(solver: Solver[State], problem: Problem, image: Float[Array, "H W"]) -> State:
+    return solver.init(problem, image)
+
+
+@eqx.filter_jit
+def _advance(
+    solver: Solver[State], problem: Problem, state: State, most: Int[Array, ""], chunk: int
+) -> tuple[State, Record, Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
+    """Up to `most` ≤ `chunk` iterations: the state, their records, how many, all finite?, tolerance met?"""
+    dtype = problem.data.target.dtype
+    records = Record(*(jnp.zeros(chunk, dtype) for _ in Record._fields))
+
+    def go_on(carry):
+        _, _, done, finite, met = carry
+        return (done < most) & finite & ~met
+
+    def one(carry):
+        before, records, done, _, _ = carry
+        after, record = solver.step(problem, before)
+        finite = jnp.isfinite(record.data + record.prior + record.residual)
+        met = finite & (record.residual <= solver.tolerance)
+        state = jax.tree.map(lambda new, old: jnp.where(finite, new, old), after, before)
+        records = Record(*(column.at[done].set(value) for column, value in zip(records, record, strict=True)))
+        return state, records, done + 1, finite, met
+
+    begin = (state, records, jnp.zeros((), jnp.int32), jnp.asarray(True), jnp.asarray(False))
+    return jax.lax.while_loop(go_on, one, begin)

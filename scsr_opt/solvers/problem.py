@@ -1,0 +1,33 @@
+"""The problem that all solvers solve: Eq. 4, divided by two."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from scsr_opt.operators.checks import norm_bound
+from scsr_opt.operators.sampling import DataTerm
+from scsr_opt.priors.prior import Prior
+
+
+class Problem(eqx.Module):
+    """minimise over X of F(X) = f(X) + λ Ψ(X), f(X) = ½ Σ_i ω_i (D_s H_i T_{k→i} X − Y_i)² (paper, Eq. 4, halved).
+
+    Halved, so that the proximal step of Eq. 5 is the usual argmin ½‖X − R‖² + βλΨ(X). The weights are scaled so that a
+    sensor pixel that is observed all the time has Σω = 1; λ then hardly depends on how many frames went in.
+
+    **Fields:** `data` f, `prior` Ψ, `strength` λ.
+    """
+
+    data: DataTerm
+    prior: Prior
+    strength: Float[Array, ""]
+
+
+def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
+    """A certain upper bound on ‖BᵀMB‖, the Lipschitz constant of f's gradient; 1 / it is a step size that always works.
+
+    B and M have no negative entries, so two steps of Collatz's bound do (`scsr_opt.operators.norm_bound`).
+    """
+    # norm_bound works on A*A and returns ‖A‖; handing it the normal operator N (symmetric) bounds ‖N‖ itself.
+    bound = norm_bound(data.normal, data.shape, iterations=2, dtype=data.target.dtype)
+    return jnp.maximum(bound, jnp.finfo(data.target.dtype).tiny)

@@ -1,0 +1,73 @@
+"""What every solver and every unrolled network returns: `Solution`, with one `Stage` per iteration."""
+
+import enum
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Result(enum.Enum):
+    """How a solve ended; the value is the sentence to show."""
+
+    converged = "The picture meets the tolerance."
+    iterations_exhausted = "The iterations were used up before the tolerance was met; the picture is usable, more iterations would refine it."
+    non_finite = "A value that is not finite appeared; the last finite picture is returned and should not be trusted."
+    no_samples = "The recording holds no usable sample (no spikes, or every pixel marked bad), so the picture carries no information."
+
+    @property
+    def sentence(self) -> str:
+        return self.value
+
+    @property
+    def good(self) -> bool:
+        """Whether the picture may be used."""
+        return self in (Result.converged, Result.iterations_exhausted)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One iteration t of Eq. 5, or one stage of an unrolled network.
+
+    **Fields:**
+    - `number`: t, counted from 1.
+    - `objective`, `data`, `prior`: Eq. 4 divided by two at X^(t), its data part and λΨ; `objective = data + prior`.
+    - `residual`: relative optimality, ‖X^(t) − X^(t−1)‖ / (‖X^(t)‖ + tiny) scaled by the step (0 at the minimiser).
+    - `step_size`: β.
+    - `seconds`: since the solve began, at the end of the chunk that this stage belongs to; NaN where not measured.
+    - `gradient_step`, `image`: R^(t) and X^(t), kept only when asked for (they are large).
+    """
+
+    number: int
+    objective: float
+    data: float
+    prior: float
+    residual: float
+    step_size: float
+    seconds: float = float("nan")
+    gradient_step: Float[np.ndarray, "H W"] | None = None
+    image: Float[np.ndarray, "H W"] | None = None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A reconstruction.
+
+    **Fields:**
+    - `image`: (H, W) float32, intensity, 1 = white, linear.
+    - `stages`: one record per iteration.
+    - `result`: how it ended.
+    - `stats`: plain numbers worth reporting (iterations, strength, samples, seconds by part, …), ready for JSON.
+    - `velocity`: (2, h, w) float32, sensor pixels per frame ([0] rows, [1] columns), the motion that was used.
+    - `confidence`: (h, w) in [0, 1], how far that velocity can be trusted.
+    - `state`: what is needed to go on from here (warm start).
+    """
+
+    image: Float[np.ndarray, "H W"]
+    stages: tuple[Stage, ...]
+    result: Result
+    stats: dict[str, Any] = field(default_factory=dict)
+    velocity: Float[np.ndarray, "2 h w"] | None = None
+    confidence: Float[np.ndarray, "h w"] | None = None
+    state: Any = None

@@ -1,0 +1,42 @@
+"""Strictness that only tests need, and where recordings of real cameras are.
+
+Under test every annotated shape and type of the packages is checked, and arithmetic may not promote dtypes or ranks by
+itself.
+"""
+
+import os
+from pathlib import Path
+
+# Before anything imports matplotlib or a BLAS: no display is needed, and with one worker process per core a pool of
+# threads in each of them only gets in the others' way.
+os.environ.setdefault("MPLBACKEND", "Agg")
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import hypothesis
+import jax
+import jaxtyping
+import pytest
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+# Has to come before the first import of the packages: modules that are loaded already stay unchecked.
+jaxtyping.install_import_hook(["scsr_opt", "learned"], "beartype.beartype")
+
+hypothesis.settings.register_profile(
+    "default",
+    deadline=None,  # the first example of a shape compiles
+    suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture],
+)
+hypothesis.settings.register_profile("ci", hypothesis.settings.get_profile("default"), derandomize=True)
+hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real recordings, which is not part of the project; tests that need it are skipped without it."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the folder of real recordings (../shared/data beside the project) is not on this machine")
+    return folder

@@ -1,0 +1,98 @@
+import dataclasses
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from scsr_opt.camera import Recording
+from scsr_opt.errors import InputError
+from scsr_opt.report import bicubic, compare, detailed_part, figure
+
+
+def _titles(drawn) -> list[str]:
+    return [axes.get_title(loc="left") for axes in drawn.axes if axes.get_title(loc="left")]
+
+
+def _pixels(drawn) -> np.ndarray:
+    canvas = FigureCanvasAgg(drawn)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
+
+
+def test_bicubic_keeps_centres_where_they_are():
+    down, right = np.mgrid[0:12, 0:10].astype(np.float32)
+    plane = 0.02 * down + 0.03 * right
+    large = bicubic(plane, 4)
+    y, x = (np.mgrid[0:48, 0:40] - 1.5) / 4
+    inner = np.s_[12:-12, 12:-12]
+    assert large.shape == (48, 40) and large.dtype == np.float32
+    assert large[inner] == pytest.approx(
+        (0.02 * y + 0.03 * x)[inner], abs=1e-3
+    )  # a shift by half a pixel would be 0.01
+
+
+def test_the_part_with_detail_is_chosen(scene):
+    top, left, tall, wide = detailed_part(scene, scale=1)
+    assert top <= 40 and top + tall >= 60 and left <= 100 and left + wide >= 130
+
+
+def test_of_two_alike_the_one_that_moves_is_chosen(scene):
+    both = scene.copy()
+    both[40:60, 20:50] = both[40:60, 100:130]
+    for columns in (slice(0, 20), slice(20, 40)):
+        velocity = np.zeros((2, 24, 40), np.float32)
+        velocity[0, :, columns] = 0.3
+        _, left, _, wide = detailed_part(both, velocity, scale=4)
+        assert (left + wide / 2) // 80 == columns.start // 20
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 200), (16, 16)])
+def test_a_part_of_a_small_picture_lies_within_it(size):
+    top, left, tall, wide = detailed_part(np.random.default_rng(0).random(size).astype(np.float32), scale=2)
+    assert 0 <= top < top + tall <= size[0] and 0 <= left < left + wide <= size[1]
+
+
+def test_figure_shows_all_that_there_is(spikes, solution):
+    drawn = figure(spikes, solution, scale=4, truth=solution.image, title="A street")
+    assert _titles(drawn) == [
+        "Playback (TFP, 21 frames), bicubic ×4",
+        "Reconstruction ×4",
+        "Truth",
+        "Motion",
+        "Objective: 12 iterations, converged",
+        "Relative residual",
+    ]
+    assert [text.get_text() for text in drawn.texts] == ["A street"]
+    assert np.unique(_pixels(drawn)).size > 50
+
+
+def test_figure_without_stages_or_motion(spikes, solution):
+    bare = dataclasses.replace(solution, stages=(), velocity=None)
+    recording = Recording.from_array(spikes, white_rate=0.3)
+    assert _titles(figure(recording, bare, scale=4, key=0))[2:] == ["Motion: none", "Convergence: not recorded"]
+
+
+def test_nothing_is_drawn_outside_the_page(spikes, solution):
+    drawn = figure(spikes, solution, scale=4, title="A street")
+    page = drawn.bbox
+    drawn.draw_without_rendering()
+    for axes in drawn.axes:
+        box = axes.get_tightbbox()
+        assert box is not None and box.x0 >= page.x0 and box.x1 <= page.x1 and box.y0 >= page.y0 and box.y1 <= page.y1
+
+
+def test_figures_leave_pyplot_alone(spikes, solution):
+    figure(spikes, solution, scale=4)
+    assert plt.get_fignums() == []
+
+
+def test_one_grey_scale_for_all_pictures(scene):
+    drawn = compare({"dark": scene * 0.1, "bright": scene})
+    limits = {axes.images[0].get_clim() for axes in drawn.axes}
+    assert len(limits) == 1 and limits.pop()[1] > 0.4
+
+
+def test_the_key_frame_has_to_be_in_the_recording(spikes, solution):
+    with pytest.raises(InputError, match="Key frame 99"):
+        figure(spikes, solution, scale=4, key=99)

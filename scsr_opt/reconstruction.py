@@ -19,7 +19,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.estimate import Estimator, estimate, filled, given
 from scsr_opt.motion.trajectory import Motion, trajectory
 from scsr_opt.operators.blur import Blur
-from scsr_opt.operators.sampling import PlacedSamples, accumulate, with_exposure
+from scsr_opt.operators.sampling import accumulate, place, with_exposure
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.solvers.iterate import Progress, Solver, run
@@ -33,6 +33,7 @@ FRAMES = 101
 
 # Corrections for motion during the exposures (majorise–minimise steps); each takes back most of what is left.
 _CORRECTIONS = 3
+_LOOSE = 5.0
 
 
 def reconstruct(
@@ -99,14 +100,14 @@ def reconstruct(
         return Solution(
             np.zeros(shape, np.float32), (), Result.no_samples, {"samples": 0}, motion.velocity, motion.confidence
         )
-    placed = PlacedSamples(
-        samples=jax.tree.map(jnp.asarray, samples.padded()),
-        path=trajectory(motion, key=key, start=0, stop=frames),
+    placed = place(
+        jax.tree.map(jnp.asarray, samples.padded()),
+        trajectory(motion, key=key, start=0, stop=frames),
         scale=scale,
         positions=_positions(samples, motion, scale),
         shape=shape,
     )
-    term = accumulate(placed, optics=optics)
+    uncorrected = term = accumulate(placed, optics=optics)
     clock.lap("samples")
 
     λ = (
@@ -121,12 +122,17 @@ def reconstruct(
     corrections = _CORRECTIONS if placed.positions > 1 else 0
     for correction in range(corrections + 1):
         problem = Problem(term, prior, jnp.asarray(λ, jnp.float32))
-        outcome = run(solver, problem, image, progress=progress, keep_images=keep_images)
+        last = correction == corrections
+        outcome = run(
+            solver, problem, image, progress=progress, keep_images=keep_images,
+            # What is corrected next need not be solved to the end.
+            tolerance=solver.tolerance if last else _LOOSE * solver.tolerance,
+        )  # fmt: skip
         stages += [replace(s, number=len(stages) + n) for n, s in enumerate(outcome.stages, 1)]
-        if not outcome.result.good or correction == corrections:
+        if last or not outcome.result.good:
             break
         image = jnp.asarray(outcome.image)
-        term = with_exposure(term, placed, image)
+        term = with_exposure(uncorrected, placed, image)
     clock.lap("solving")
     stats = {
         "iterations": len(stages),

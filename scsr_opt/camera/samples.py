@@ -2,14 +2,14 @@
 
 **Spike intervals.** The sensor keeps the residual above its threshold θ, so between two spikes of a pixel, read out in
 frames a < b, it has gathered exactly θ, or c·θ where c − 1 further spikes lie between them: the mean intensity over the
-exposure was Y = c·θ / (b − a). Each end is known to within the frame it was read out in. The crossing lies, on average, in
-the middle of that frame, so the light counted is ½I_a + I_{a+1} + … + I_{b−1} + ½I_b: the exposure is [a, b] on a time axis
-on which frame t sits at t. (Taking the frames a+1 … b instead would show everything half a frame late.)
+exposure was Y = c·θ / (b − a). Each end is known to within the frame it was read out in. The crossing lies, on average,
+in the middle of that frame, so the light counted is ½I_a + I_{a+1} + … + I_{b−1} + ½I_b: the exposure is [a, b] on a
+time axis on which frame t sits at t. (Taking the frames a+1 … b instead would show everything half a frame late.)
 
 **Windows.** A fixed window of n frames that holds c spikes measures Y = c·θ / n, with an error of up to θ.
 
-Both are weighted by duration. Intervals of one pixel share their ends, so their errors cancel from one to the next: weighted
-by duration they add up to the exact light between the first and the last spike.
+Both are weighted by duration. Intervals of one pixel share their ends, so their errors cancel from one to the next:
+weighted by duration they add up to the exact light between the first and the last spike.
 """
 
 import equinox as eqx
@@ -42,9 +42,10 @@ class Samples(eqx.Module):
         return int(np.count_nonzero(self.weight))
 
     def padded(self) -> "Samples":
-        """The same samples, padded with weight 0 to one of few lengths, so that compiled code is met again from call to call.
+        """The same samples, padded with weight 0 to one of few lengths.
 
-        Lengths are m·2^e with 8 ≤ m < 16: at most an eighth is padding.
+        Code that was compiled for one number of samples then serves for others. Lengths are m·2^e with 8 ≤ m < 16, so
+        that at most an eighth is padding; fewer than 16 samples are left as they are, and none become one of weight 0.
         """
         n = self.row.size
         step = 1 << max(0, n.bit_length() - 4)
@@ -68,9 +69,9 @@ def spike_intervals(
 ) -> Samples:
     """Samples from the intervals between spikes.
 
-    Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in each
-    block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing moves during
-    `shortest` frames, and leaves fewer samples to handle.
+    Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in
+    each block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing
+    moves during `shortest` frames, and leaves fewer samples to handle.
 
     **Arguments:**
     - `spikes`: (T, h, w), 0 or 1.
@@ -128,7 +129,9 @@ def windows(
     """
     frames, height, width = spikes.shape
     if not 1 <= length <= frames:
-        raise InputError(f"windows of {length} frames do not fit a recording of {frames}: use a length from 1 to {frames}.")
+        raise InputError(
+            f"windows of {length} frames do not fit a recording of {frames}: use a length from 1 to {frames}."
+        )
     number = frames // length
     counts = spikes[: number * length].reshape(number, length, height, width).sum(1, dtype=np.float32)
     begin = np.arange(number, dtype=np.float32) * length + first_frame - 0.5  # frame t covers [t − ½, t + ½]

@@ -177,8 +177,8 @@ def _velocity(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
         down = right = float("nan")
     if not np.isfinite([down, right]).all():
         raise InputError(
-            f"--motion {motion} is not known: give auto, none, global, dense, DOWN,RIGHT in sensor pixels per frame, or "
-            f"the name of a .npy file."
+            f"--motion {motion} is not known: give auto, none, global, dense, DOWN,RIGHT in sensor pixels per frame, "
+            f"or the name of a .npy file."
         )
     return np.broadcast_to(np.array([down, right], np.float32)[:, None, None], shape).copy()
 

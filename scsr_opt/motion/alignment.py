@@ -29,14 +29,38 @@ class Stretches(NamedTuple):
 def stretches(
     spikes: Shaped[np.ndarray, "T h w"], *, key: int, white_rate: float | int = 0.6, most: int = 25
 ) -> Stretches:
-    """The recording as at most `most` pictures of equal length (four frames or more), edge to edge."""
+    """The recording as at most `most` pictures of equal length (four frames or more), edge to edge.
+
+    The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it each at
+    most): what fills such gaps is the same light at other times, which stands still, and pulls a velocity towards zero by
+    about 1 % if it takes part.
+    """
     frames = spikes.shape[0]
-    length = max(4, -(-frames // most)) if frames >= 8 else max(frames // 2, 1)
-    number = max((frames - 1) // length, 1)
-    first = (frames - 1 - number * length) / 2
+    begin, end = _measured(spikes, key)
+    length = max(4, -(-(end - begin) // most)) if frames >= 8 else max(frames // 2, 1)
+    number = max((end - begin) // length, 1)
+    first = begin + (end - begin - number * length) / 2
     edges = first + length * np.arange(number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
     return Stretches(jnp.asarray(interval_rates(spikes, edges, white_rate=white_rate)), jnp.asarray(middle, jnp.float32))
+
+
+# The share of the pixels that must have fired at the first moment that is used, and must still fire at the last one.
+_FIRED = 0.85
+
+
+def _measured(spikes: Shaped[np.ndarray, "T h w"], key: int) -> tuple[int, int]:
+    """First and last frame between which most pixels are measured between two spikes; always around the key frame."""
+    frames = spikes.shape[0]
+    if frames < 16:
+        return 0, frames - 1
+    some = np.asarray(spikes[:, ::2, ::2]).astype(bool, copy=False).reshape(frames, -1)
+    some = some[:, some.any(0)]
+    if some.shape[1] == 0:
+        return 0, frames - 1
+    early, late = (int(np.quantile(part.argmax(0), _FIRED, method="higher")) for part in (some, some[::-1]))
+    begin, end = min(early, frames // 5), frames - 1 - min(late, frames // 5)
+    return min(begin, key), max(end, key)
 
 
 class Drift(NamedTuple):
@@ -67,29 +91,37 @@ def drift(
     rows, columns = jnp.meshgrid(
         jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
     )
+    # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
+    about = pictures[jnp.argmin(jnp.abs(after))]
+    powers = jnp.arange(5, dtype=jnp.float32)
 
-    def moved(arguments: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        picture, tau, part = arguments
-        there = jnp.stack([rows, columns]) + tau * velocity + 0.5 * tau**2 * acceleration
-        inside = (there[0] >= 0) & (there[1] >= 0) & (there[0] <= height - 1) & (there[1] <= width - 1)
-        return bilinear(picture[None], there[0], there[1])[0], inside * part
+    def add(sums: tuple[Array, Array], one: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
+        picture, tau, part = one
+        row = rows + tau * velocity[0] + 0.5 * tau**2 * acceleration[0]
+        column = columns + tau * velocity[1] + 0.5 * tau**2 * acceleration[1]
+        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+        weight = jnp.where(inside, part, 0)
+        value = bilinear(picture[None], row, column)[0] - about
+        moments, values = sums
+        moments = moments + weight * (tau**powers)[:, None, None]
+        values = values + weight * value * jnp.stack([jnp.ones_like(value), tau + 0 * value, tau**2 / 2 + 0 * value, value])
+        return (moments, values), None
 
-    aligned, weight = jax.lax.map(moved, (pictures, after, taking_part))
-    seen = weight.sum(0)
+    start = (jnp.zeros((5, height, width), jnp.float32), jnp.zeros((4, height, width), jnp.float32))
+    (moments, values), _ = jax.lax.scan(add, start, (pictures, after, taking_part))
+    # Σ weight, of the regressors τ and τ²/2, and of their products.
+    seen, first, products = moments[0], jnp.stack([moments[1], moments[2] / 2]), moments[2:] / jnp.array([1.0, 2, 4])[:, None, None]
     count = jnp.maximum(seen, 1e-6)
-    mean = (weight * aligned).sum(0) / count
-    residual = aligned - mean
-    basis = jnp.stack([after, after**2 / 2])
-    centred = basis[:, :, None, None] - jnp.einsum("nhw,qn->qhw", weight, basis)[:, None] / count
-    weighted = weight * centred
-    edged = jnp.pad(mean, 1, mode="edge")
-    slope = jnp.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2
+    mean = values[0] / count
+    square = jnp.stack([jnp.stack([products[0], products[1]]), jnp.stack([products[1], products[2]])])
+    full = mean + about
+    edged = jnp.pad(full, 1, mode="edge")
     return Drift(
-        mean=mean,
-        slope=slope,
-        change=jnp.einsum("qnhw,nhw->qhw", weighted, residual),
-        spread=jnp.einsum("qnhw,rnhw->qrhw", weighted, centred),
-        residual=(weight * residual**2).sum(0),
+        mean=full,
+        slope=jnp.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2,
+        change=values[1:3] - first * mean,
+        spread=square - first[:, None] * first[None] / count,
+        residual=jnp.maximum(values[3] - values[0] * mean, 0),
         seen=seen,
     )
 

@@ -69,16 +69,21 @@ def _fit(
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
         mismatch = smooth(now.residual / jnp.maximum(now.seen, 1), jnp.asarray(1.5))
         trust = 1 / (1 + (mismatch / (3 * jnp.median(mismatch) + 1e-12)) ** 2)
-        matrix = jnp.einsum(
-            "qrhw,hw,chw,dhw,phw,ohw->qcprdo",
-            now.spread[:orders, :orders], trust, now.slope, now.slope, basis, basis, optimize="optimal",
-        ).reshape(unknowns, unknowns)  # fmt: skip
-        right = -jnp.einsum("qhw,hw,chw,phw->qcp", now.change[:orders], trust, now.slope, basis, optimize="optimal")
+        # Regressors: each basis picture times each component of the slope, once for the velocity, once for the acceleration.
+        regressors = (now.slope[:, None] * basis[None]).reshape(2 * basis.shape[0], -1)
+        weights = (now.spread * trust).reshape(2, 2, -1)
+        matrix = jnp.concatenate(
+            [
+                jnp.concatenate([(regressors * weights[q, r]) @ regressors.T for r in range(orders)], axis=1)
+                for q in range(orders)
+            ]
+        )
+        right = jnp.concatenate([-regressors @ (now.change[q] * trust).reshape(-1) for q in range(orders)])
         # Unit diagonal: velocities and accelerations differ by orders of magnitude. A trace of damping keeps the step
         # finite where the picture has no texture.
         scale = 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12)
         scaled = matrix * scale[:, None] * scale[None, :] + 1e-6 * jnp.eye(unknowns, dtype=matrix.dtype)
-        update = (jnp.linalg.solve(scaled, right.reshape(-1) * scale) * scale).reshape(orders, 2, -1)
+        update = (jnp.linalg.solve(scaled, right * scale) * scale).reshape(orders, 2, -1)
         velocity = velocity + update[0].T
         if with_acceleration:
             acceleration = acceleration + update[1].T

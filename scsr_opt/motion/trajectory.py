@@ -68,19 +68,20 @@ class Trajectory(eqx.Module):
         self, row: Array, column: Array, time: Float[Array, " m"]
     ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
         """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`."""
-        last = self.position.shape[0] - 1
-        if last == 0:
-            index, fraction, following = jnp.zeros_like(row), jnp.zeros_like(time), jnp.zeros_like(row)
+        moments, _, height, width = self.position.shape
+        # One pixel's table lies together: samples come pixel by pixel, so what they read is near what was read before.
+        table = jnp.concatenate([self.position, self.visible[:, None]], axis=1)
+        table = jnp.moveaxis(table, (2, 3), (0, 1)).reshape(height * width * moments, 3)
+        pixel = (row * width + column) * moments
+        if moments == 1:
+            index, fraction, following = pixel, jnp.zeros_like(time), pixel
         else:
-            steps = jnp.clip((time - self.first) / SPACING, 0, last)
-            index = jnp.minimum(steps.astype(row.dtype), last - 1)
-            fraction, following = steps - index.astype(time.dtype), index + 1
-
-        def between(table: Float[Array, "n h w"]) -> Float[Array, " m"]:
-            before = table[index, row, column]
-            return before + fraction * (table[following, row, column] - before)
-
-        return between(self.position[:, 0]), between(self.position[:, 1]), between(self.visible)
+            steps = jnp.clip((time - self.first) / SPACING, 0, moments - 1)
+            whole = jnp.minimum(steps.astype(row.dtype), moments - 2)
+            index, fraction, following = pixel + whole, steps - whole.astype(time.dtype), pixel + whole + 1
+        before, after = table[index], table[following]
+        between = before + fraction[:, None] * (after - before)
+        return between[:, 0], between[:, 1], between[:, 2]
 
 
 def trajectory(motion: Motion, *, key: int, start: int, stop: int) -> Trajectory:
@@ -122,13 +123,19 @@ def _invert(
 
 
 def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:
-    """`field` at (row, column), clamped to its border."""
+    """`field` at (row, column), clamped to its border. A position that is not a number reads the border."""
     height, width = field.shape[1:]
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    top = jnp.clip(jnp.floor(row).astype(jnp.int32), 0, max(height - 2, 0))
-    left = jnp.clip(jnp.floor(column).astype(jnp.int32), 0, max(width - 2, 0))
+    top = jnp.clip(row.astype(jnp.int32), 0, max(height - 2, 0))
+    left = jnp.clip(column.astype(jnp.int32), 0, max(width - 2, 0))
     down, right = row - top.astype(row.dtype), column - left.astype(column.dtype)
-    bottom, far = jnp.minimum(top + 1, height - 1), jnp.minimum(left + 1, width - 1)
-    upper = field[:, top, left] * (1 - right) + field[:, top, far] * right
-    lower = field[:, bottom, left] * (1 - right) + field[:, bottom, far] * right
-    return upper * (1 - down) + lower * down
+    # Indices into the flattened picture: half the time of indexing by row and column.
+    flat, corner = field.reshape(field.shape[0], -1), top * width + left
+    below, beside = (width if height > 1 else 0), (1 if width > 1 else 0)
+
+    def at(offset: int) -> Float[Array, "c ..."]:
+        return flat.at[:, corner + offset].get(mode="promise_in_bounds")
+
+    upper = at(0) + right * (at(beside) - at(0))
+    lower = at(below) + right * (at(below + beside) - at(below))
+    return upper + down * (lower - upper)

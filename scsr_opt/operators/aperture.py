@@ -1,5 +1,7 @@
-"""The blur B of the sampled form: the sensor pixel's aperture, sliding over the high-resolution grid, after the optics."""
+"""The blur B of the sampled form: the sensor pixel's aperture, sliding over the high-resolution grid, after the
+optics."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -10,14 +12,14 @@ from scsr_opt.operators.operator import LinearOperator, picture_shape
 class Aperture(LinearOperator):
     """Sliding mean: U(i, j) = mean of X over rows i … i+s−1 and columns j … j+s−1.
 
-    At multiples of s this is `Downsample` exactly; read in between, it is what a pixel sees that lies there. The last s−1
-    rows and columns, where the aperture would leave the picture, are 0 and must not be read.
+    At multiples of s this is `Downsample` exactly; read in between, it is what a pixel sees that lies there. The last
+    s−1 rows and columns, where the aperture would leave the picture, are 0 and must not be read.
 
     **Arguments:** `shape` (H, W) and the integer `scale` s.
     """
 
-    shape: tuple[int, int]
-    scale: int
+    shape: tuple[int, int] = eqx.field(static=True)
+    scale: int = eqx.field(static=True)
 
     def __init__(self, shape: tuple[int, int], scale: int):
         self.shape = picture_shape(shape, "Aperture")

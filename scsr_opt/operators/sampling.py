@@ -1,18 +1,19 @@
 """The data term of Eq. 4 in sampled form: an iteration costs the same for 40 frames and for 4,000.
 
 Where motion is locally a translation, warping and blurring commute: what pixel p sees at time t is the blurred picture
-U = B X (aperture after optics), read at one position, s·q, q the key-frame position of what it sees. A sample j is a row
-r_j of four bilinear weights on U, or the mean of K such rows along its exposure, and
+U = B X (aperture after optics), read at one position, s·q, q the key-frame position of what it sees. A sample j is a
+row r_j of four bilinear weights on U, or the mean of K such rows along its exposure, and
 
-    f(X) = ½ Σ_j ω_j (r_j·B X − Y_j)² = ½⟨U, M U⟩ − ⟨c, U⟩ + ½ e,   M = Σ ω_j r_j r_jᵀ,  c = Σ ω_j Y_j r_j,  e = Σ ω_j Y_j².
+    f(X) = ½ Σ_j ω_j (r_j·B X − Y_j)² = ½⟨U, M U⟩ − ⟨c, U⟩ + ½ e,
+    M = Σ ω_j r_j r_jᵀ,   c = Σ ω_j Y_j r_j,   e = Σ ω_j Y_j².
 
 M and c are accumulated once. M is a symmetric stencil of 3×3 weights that varies over the picture; five planes hold it.
 
 **Exposures.** Rows at several positions of an exposure would couple points as far apart as the motion during it. M is
-therefore accumulated from Σ_k r_jk r_jkᵀ / K, which is never below the true M_e = Σ ω_j r_j r_jᵀ with r_j = Σ_k r_jk / K
-(convexity), while c is exact. `with_exposure` then corrects c so that the gradient at a given picture is the exact one:
-each solve minimises a quadratic that lies on or above the true objective and touches it there (majorise–minimise), so
-that alternating the two lowers the true objective every time and ends at its minimiser.
+therefore accumulated from Σ_k r_jk r_jkᵀ / K, which is never below the true M_e = Σ ω_j r_j r_jᵀ with r_j = Σ_k r_jk /
+K (convexity), while c is exact. `with_exposure` then corrects c so that the gradient at a given picture is the exact
+one: each solve minimises a quadratic that lies on or above the true objective and touches it there (majorise–minimise),
+so that alternating the two lowers the true objective every time and ends at its minimiser.
 """
 
 import equinox as eqx
@@ -100,62 +101,88 @@ class PlacedSamples(eqx.Module):
     """Samples with the positions on the grid of U that each was taken at, ready to be read and accumulated.
 
     **Fields:**
-    - `samples` as device arrays (padded), `path` the trajectory, `scale` s, `positions` K along each exposure.
+    - `index` (K, n): of the upper left tap in the flattened picture, for each of K positions along the exposure.
+    - `down`, `right` (K, n): how far the position lies beyond that tap, in pixels.
+    - `value`, `weight` (n,): Y_j and ω_j; the weight is 0 where a sample leaves the picture or sees what the key frame
+      does not show.
+    - `scale` s, `shape` (H, W).
     """
 
-    samples: Samples
-    path: Trajectory
+    index: Int[Array, "K n"]
+    down: Float[Array, "K n"]
+    right: Float[Array, "K n"]
+    value: Float[Array, " n"]
+    weight: Float[Array, " n"]
     scale: int = eqx.field(static=True)
-    positions: int = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
 
-    def taps(self, k: Array) -> tuple[Int[Array, " n"], Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-        """For position k of the exposures: index of the upper left tap in the flattened picture, fractions down and right,
-        and how far the sample can be used there (0 where it is hidden or outside the picture)."""
-        s, (height, width) = self.samples, self.shape
-        along = (k.astype(s.start.dtype) + 0.5) / self.positions
-        time = s.start + (s.stop - s.start) * along
-        row, column, seen = self.path.at(s.row, s.column, time)
-        row, column = row * self.scale, column * self.scale
-        # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
-        inside = (row >= -1e-3) & (column >= -1e-3)
-        inside &= (row <= height - self.scale + 1e-3) & (column <= width - self.scale + 1e-3)
-        row, column = jnp.clip(row, 0, height - self.scale), jnp.clip(column, 0, width - self.scale)
-        top, left = jnp.floor(row), jnp.floor(column)
-        seen = jnp.where(inside, seen, 0)
-        return top.astype(jnp.int32) * width + left.astype(jnp.int32), row - top, column - left, seen
+    @property
+    def positions(self) -> int:
+        """K, the number of positions along each exposure."""
+        return self.index.shape[0]
 
-    def weight(self) -> Float[Array, " n"]:
-        """ω_j: a sample counts as far as it can be used at each of its positions."""
-        seen = jax.lax.fori_loop(
-            0, self.positions, lambda k, w: jnp.minimum(w, self.taps(k)[3]), jnp.ones_like(self.samples.weight)
-        )
-        return self.samples.weight * seen
-
+    @eqx.filter_jit
     def read(self, u: Float[Array, "H W"]) -> Float[Array, " n"]:
         """r_j · u for every sample."""
         flat, width = u.reshape(-1), self.shape[1]
 
-        def add(k: Array, total: Float[Array, " n"]) -> Float[Array, " n"]:
-            index, down, right, _ = self.taps(k)
-            upper = flat[index] * (1 - right) + flat[index + 1] * right
-            lower = flat[index + width] * (1 - right) + flat[index + width + 1] * right
-            return total + upper * (1 - down) + lower * down
+        def add(total: Float[Array, " n"], taps: tuple[Array, Array, Array]):
+            index, down, right = taps
+            corners = [flat[index + offset] for offset in (0, 1, width, width + 1)]
+            upper = corners[0] + right * (corners[1] - corners[0])
+            lower = corners[2] + right * (corners[3] - corners[2])
+            return total + upper + down * (lower - upper), None
 
-        return jax.lax.fori_loop(0, self.positions, add, jnp.zeros_like(self.samples.value)) / self.positions
+        total, _ = jax.lax.scan(add, jnp.zeros_like(self.value), (self.index, self.down, self.right))
+        return total / self.positions
 
+    @eqx.filter_jit
     def spread(self, values: Float[Array, " n"]) -> Float[Array, "H W"]:
         """Σ_j values_j r_j, the adjoint of `read`."""
         width = self.shape[1]
 
-        def add(k: Array, total: Float[Array, " m"]) -> Float[Array, " m"]:
-            index, down, right, _ = self.taps(k)
+        def add(total: Float[Array, " m"], taps: tuple[Array, Array, Array]):
+            index, down, right = taps
             for offset, tap in zip((0, 1, width, width + 1), _bilinear_weights(down, right), strict=True):
                 total = total.at[index + offset].add(values * tap)
-            return total
+            return total, None
 
         start = jnp.zeros(self.shape[0] * width, values.dtype)
-        return (jax.lax.fori_loop(0, self.positions, add, start) / self.positions).reshape(self.shape)
+        total, _ = jax.lax.scan(add, start, (self.index, self.down, self.right))
+        return (total / self.positions).reshape(self.shape)
+
+
+@eqx.filter_jit
+def place(
+    samples: Samples, path: Trajectory, *, scale: int, positions: int, shape: tuple[int, int]
+) -> PlacedSamples:
+    """Where each sample was taken, on the grid of U.
+
+    **Arguments:**
+    - `samples`: as device arrays, padded.
+    - `path`: where in the key frame lies what a pixel sees.
+    - `scale` s, `shape` (H, W) of the high-resolution picture.
+    - `positions`: K, spread evenly over each exposure; 1 takes its middle.
+    """
+    height, width = shape
+
+    def at(weight: Float[Array, " n"], along: Float[Array, ""]):
+        time = samples.start + (samples.stop - samples.start) * along
+        row, column, seen = path.at(samples.row, samples.column, time)
+        row, column = row * scale, column * scale
+        # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
+        inside = (row >= -1e-3) & (column >= -1e-3)
+        inside &= (row <= height - scale + 1e-3) & (column <= width - scale + 1e-3)
+        row, column = jnp.clip(row, 0, height - scale), jnp.clip(column, 0, width - scale)
+        top, left = row.astype(jnp.int32), column.astype(jnp.int32)
+        index = top * width + left
+        # A sample counts as far as it can be used at each of its positions.
+        weight = jnp.minimum(weight, samples.weight * jnp.where(inside, seen, 0))
+        return weight, (index, row - top.astype(row.dtype), column - left.astype(row.dtype))
+
+    along = (jnp.arange(positions, dtype=samples.start.dtype) + 0.5) / positions
+    weight, (index, down, right) = jax.lax.scan(at, samples.weight, along)
+    return PlacedSamples(index, down, right, samples.value, weight, scale, shape)
 
 
 def _bilinear_weights(down: Array, right: Array) -> tuple[Array, Array, Array, Array]:
@@ -174,17 +201,17 @@ def accumulate(
     - `optics`: the lens, as an operator on the high-resolution picture.
     """
     height, width = placed.shape
-    weight = placed.weight() if robust is None else placed.weight() * robust
-    value = placed.samples.value
+    weight = placed.weight if robust is None else placed.weight * robust
+    value = placed.value
     # Upper left tap 0, its right, lower and lower right neighbours 1, 2, 3: (plane, at tap, tap, tap).
     products = (
         (0, 0, 0, 0), (0, 1, 1, 1), (0, 2, 2, 2), (0, 3, 3, 3),
         (1, 0, 0, 1), (1, 2, 2, 3), (2, 1, 1, 2), (3, 0, 0, 2), (3, 1, 1, 3), (4, 0, 0, 3),
     )  # fmt: skip
 
-    def add(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def add(carry: tuple[Array, Array], position: tuple[Array, Array, Array]):
         planes, target = carry
-        index, down, right, _ = placed.taps(k)
+        index, down, right = position
         taps = _bilinear_weights(down, right)
         weighted = tuple(weight * tap for tap in taps)
         offsets = (0, 1, width, width + 1)
@@ -192,11 +219,11 @@ def accumulate(
             target = target.at[index + offset].add(tap * value)
         for plane, at, first, second in products:
             planes = planes.at[plane, index + offsets[at]].add(weighted[first] * taps[second])
-        return planes, target
+        return (planes, target), None
 
     size = height * width
     begin = (jnp.zeros((5, size), value.dtype), jnp.zeros(size, value.dtype))
-    planes, target = jax.lax.fori_loop(0, placed.positions, add, begin)
+    (planes, target), _ = jax.lax.scan(add, begin, (placed.index, placed.down, placed.right))
     return DataTerm(
         stencil=Stencil((planes / placed.positions).reshape(5, height, width)),
         target=(target / placed.positions).reshape(height, width),
@@ -210,13 +237,14 @@ def accumulate(
 def with_exposure(
     term: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"], *, robust: Float[Array, " n"] | None = None
 ) -> DataTerm:
-    """`term` with c and e corrected, so that it touches the exact data term of the exposures at `image` from above.
+    """`term`, as `accumulate` made it, with c and e corrected: it touches the exact data term of the exposures at `image`
+    and lies on or above it everywhere.
 
     With U = B·image: c' = c + (M − M_e) U and e' = e + ⟨U, (M − M_e) U⟩, M_e from the samples themselves.
     """
-    weight = placed.weight() if robust is None else placed.weight() * robust
+    weight = placed.weight if robust is None else placed.weight * robust
     u = term.blurred(image)
     excess = term.stencil(u) - placed.spread(weight * placed.read(u))
-    target = placed.spread(weight * placed.samples.value) + excess
-    energy = jnp.sum(weight * placed.samples.value**2) + jnp.sum(u * excess)
-    return eqx.tree_at(lambda t: (t.target, t.energy), term, (target, energy))
+    return eqx.tree_at(
+        lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess))
+    )

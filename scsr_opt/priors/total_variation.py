@@ -11,7 +11,9 @@ from jaxtyping import Array, Float
 from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 
-_UNROLL = 5
+# A loop over unrolled parts writes its carry to memory once more each time round: unrolled as a whole where that is
+# short.
+_UNROLL = 10
 
 
 class Dual(NamedTuple):
@@ -53,7 +55,7 @@ class TotalVariation(Prior[Dual]):
     isotropic: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
-    def __init__(self, isotropic: bool = True, iterations: int = 5):
+    def __init__(self, isotropic: bool = True, iterations: int = 10):
         if iterations != int(iterations) or iterations < 1:
             raise InputError(
                 f"TotalVariation was given {iterations} iterations; it needs a whole number of at least 1."
@@ -98,10 +100,13 @@ class TotalVariation(Prior[Dual]):
             )
             return (moved, ahead), None
 
-        # Partly unrolled: the first picture of an iteration is then computed in one pass with the last of the one
-        # before, 5 iterations at 1000×1600 in 27 ms instead of 41 (two cores).
+        # Unrolled, the first picture of an iteration is computed in one pass with the last of the one before: 5
+        # iterations at 1000×1600 in 22 ms instead of 40 (two cores); an unrolled loop of 5 twice over takes 64 ms.
         (dual, _), _ = jax.lax.scan(
-            ascend, (state, state), _momenta(self.iterations, image.dtype), unroll=min(self.iterations, _UNROLL)
+            ascend,
+            (state, state),
+            _momenta(self.iterations, image.dtype),
+            unroll=self.iterations if self.iterations <= _UNROLL else 2,
         )
         result = image - positive * _gradient_adjoint(dual)
         dual = Dual(*(jnp.where(off, old, new) for old, new in zip(state, dual, strict=True)))

@@ -181,9 +181,12 @@ def detailed_part(
 
 
 def _white_level(pictures: Any) -> float:
-    """The intensity shown as white: a little below the brightest of all, so that dim recordings can be seen."""
-    level = max(float(np.percentile(np.nan_to_num(image), 99.7)) for image in pictures)
-    return min(max(level, 1e-3), 1.2)
+    """The intensity shown as white: near the brightest of the pictures, so that dim recordings can be seen.
+
+    The middle one of them decides: one with outliers would leave the others dark.
+    """
+    levels = [float(np.percentile(np.nan_to_num(image), 99.7)) for image in pictures]
+    return max(float(np.median(levels)), 1e-3)
 
 
 def _axes(drawn: Figure, x: float, y: float, wide: float, tall: float) -> Axes:

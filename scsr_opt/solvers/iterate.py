@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt.errors import InputError
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Result, Stage
 
@@ -45,7 +46,16 @@ class Solver(eqx.Module, Generic[State]):
     """
 
     iterations: eqx.AbstractVar[int]
-    tolerance: eqx.AbstractVar[float]
+    tolerance: eqx.AbstractVar[float | int]
+
+    def __check_init__(self):
+        if self.iterations < 1:
+            raise InputError(f"{type(self).__name__} was given {self.iterations} iterations; it needs at least 1.")
+        if not self.tolerance >= 0:
+            raise InputError(
+                f"{type(self).__name__} was given tolerance {self.tolerance}; it is a relative residual of at least 0 "
+                "(0: use all iterations)."
+            )
 
     @abc.abstractmethod
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:
@@ -81,31 +91,36 @@ def run(
     state: Any = None,
     progress: Progress | None = None,
     keep_images: bool = False,
+    tolerance: float | int | None = None,
 ) -> Outcome:
     """Runs `solver` on `problem` from `image`, or goes on from `state`.
 
     A value that is not finite ends the run at once; the picture before it is returned. With `keep_images` every stage
-    keeps R^(t) and X^(t), and each iteration is a chunk of its own.
+    keeps R^(t) and X^(t), and each iteration is a chunk of its own. `tolerance` stands in for the solver's own.
     """
     begin = time.perf_counter()
+    iterations, enough = solver.iterations, jnp.float32(solver.tolerance if tolerance is None else tolerance)
+    # The limits are handed over apart, so that other limits compile nothing anew.
+    solver = eqx.tree_at(lambda s: (s.iterations, s.tolerance), solver, (1, 0.0))
     state = _init(solver, problem, image) if state is None else state
     chunk = 1 if keep_images else CHUNK
     stages: list[Stage] = []
     result = Result.iterations_exhausted
     if progress is not None:
-        progress.start(solver.iterations, "solving")
-    while len(stages) < solver.iterations:
-        most = jnp.asarray(min(chunk, solver.iterations - len(stages)), jnp.int32)
-        state, records, done, finite, met = _advance(solver, problem, state, most, chunk)
+        progress.start(iterations, "solving")
+    while len(stages) < iterations:
+        most = jnp.asarray(min(chunk, iterations - len(stages)), jnp.int32)
+        state, records, done, finite, met = _advance(solver, problem, state, most, enough, chunk)
         done, seconds = int(done), time.perf_counter() - begin
         pictures: dict[str, Any] = {}
         if keep_images:
-            pictures = {"image": np.asarray(solver.image(state)), "gradient_step": np.asarray(solver.gradient_step(state))}
+            pictures = {
+                "image": np.asarray(solver.image(state)),
+                "gradient_step": np.asarray(solver.gradient_step(state)),
+            }
         table = np.stack([np.asarray(column)[:done] for column in records], axis=1).astype(float)
         for data, prior, residual, step_size in table:
-            stages.append(
-                Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures)
-            )
+            stages.append(Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures))
         if progress is not None:
             progress.advance(done)
         if not bool(finite):
@@ -126,7 +141,12 @@ def _init(solver: Solver[State], problem: Problem, image: Float[Array, "H W"]) -
 
 @eqx.filter_jit
 def _advance(
-    solver: Solver[State], problem: Problem, state: State, most: Int[Array, ""], chunk: int
+    solver: Solver[State],
+    problem: Problem,
+    state: State,
+    most: Int[Array, ""],
+    tolerance: Float[Array, ""],
+    chunk: int,
 ) -> tuple[State, Record, Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
     """Up to `most` ≤ `chunk` iterations: the state, their records, how many, all finite?, tolerance met?"""
     dtype = problem.data.target.dtype
@@ -140,7 +160,7 @@ def _advance(
         before, records, done, _, _ = carry
         after, record = solver.step(problem, before)
         finite = jnp.isfinite(record.data + record.prior + record.residual)
-        met = finite & (record.residual <= solver.tolerance)
+        met = finite & (record.residual <= tolerance.astype(dtype))
         state = jax.tree.map(lambda new, old: jnp.where(finite, new, old), after, before)
         records = Record(*(column.at[done].set(value) for column, value in zip(records, record, strict=True)))
         return state, records, done + 1, finite, met

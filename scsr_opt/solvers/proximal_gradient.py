@@ -24,8 +24,8 @@ class ProximalGradientState(NamedTuple):
 
 
 class _ProximalGradient(Solver[ProximalGradientState]):
-    iterations: int = 200
-    tolerance: float = 1e-4
+    iterations: int = 100
+    tolerance: float | int = 3e-4
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
         gradient = problem.data.gradient(image)
@@ -40,9 +40,7 @@ class _ProximalGradient(Solver[ProximalGradientState]):
             step_size=1 / lipschitz_bound(problem.data),
         )
 
-    def step(
-        self, problem: Problem, state: ProximalGradientState
-    ) -> tuple[ProximalGradientState, Record]:
+    def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         β = state.step_size
         gradient_step = state.ahead - β * state.ahead_gradient
         image, prior = problem.prior.prox(gradient_step, β * problem.strength, state.prior)

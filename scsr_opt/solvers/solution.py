@@ -12,9 +12,15 @@ class Result(enum.Enum):
     """How a solve ended; the value is the sentence to show."""
 
     converged = "The picture meets the tolerance."
-    iterations_exhausted = "The iterations were used up before the tolerance was met; the picture is usable, more iterations would refine it."
+    iterations_exhausted = (
+        "The iterations were used up before the tolerance was met; the picture is usable, more iterations would refine "
+        "it."
+    )
     non_finite = "A value that is not finite appeared; the last finite picture is returned and should not be trusted."
-    no_samples = "The recording holds no usable sample (no spikes, or every pixel marked bad), so the picture carries no information."
+    no_samples = (
+        "The recording holds no usable sample (no spikes, or every pixel marked bad), so the picture carries no "
+        "information."
+    )
 
     @property
     def sentence(self) -> str:
@@ -33,7 +39,9 @@ class Stage:
     **Fields:**
     - `number`: t, counted from 1.
     - `objective`, `data`, `prior`: Eq. 4 divided by two at X^(t), its data part and λΨ; `objective = data + prior`.
-    - `residual`: relative optimality, ‖X^(t) − X^(t−1)‖ / (‖X^(t)‖ + tiny) scaled by the step (0 at the minimiser).
+    - `residual`: relative optimality, ‖X^(t) − A‖ / ‖X^(t)‖, A the point that the iteration started from, so that
+      X^(t) = prox(A − β∇f(A)); 0 at the minimiser. As such a step brings no two points further apart, one more from
+      X^(t) changes it by no more than this.
     - `step_size`: β.
     - `seconds`: since the solve began, at the end of the chunk that this stage belongs to; NaN where not measured.
     - `gradient_step`, `image`: R^(t) and X^(t), kept only when asked for (they are large).

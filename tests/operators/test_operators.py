@@ -96,6 +96,13 @@ def derivatives(operator: LinearOperator, x: jax.Array, y: jax.Array):
     return forward, backward, pull_forward(x)[0], pushed, pull_back(y)[0]
 
 
+def holds_against_differences(loss: Callable, at: jax.Array, direction: jax.Array, h: float = 1e-6) -> None:
+    """The derivative of `loss` along `direction` is what a central difference says."""
+    both = jax.jit(jax.value_and_grad(loss))
+    expected = (both(at + h * direction)[0] - both(at - h * direction)[0]) / (2 * h)
+    np.testing.assert_allclose(np.vdot(both(at)[1], direction), expected, rtol=1e-7)
+
+
 # Properties that every operator has
 
 
@@ -160,11 +167,11 @@ def test_norms_against_the_singular_values(make):
 def test_refuses_what_does_not_fit(make):
     operator = make()
     with pytest.raises(InputError, match="it takes"):
-        operator(jnp.zeros((*operator.input_shape, 1)))
+        operator(np.zeros((*operator.input_shape, 1)))
     with pytest.raises(InputError, match="adjoint was given"):
-        operator.adjoint(jnp.zeros((1, *operator.output_shape)))
+        operator.adjoint(np.zeros((1, *operator.output_shape)))
     with pytest.raises(InputError, match="int32 values"):
-        operator(jnp.zeros(operator.input_shape, jnp.int32))
+        operator(np.zeros(operator.input_shape, np.int32))
 
 
 # Checks
@@ -227,15 +234,17 @@ def test_spectral_norm_ends_on_what_is_not_a_number():
 
 
 def test_upper_bound_holds_over_many_starts():
-    # All singular values but one are close together and a little smaller: the slowest case for the power iteration.
-    values = jnp.asarray(np.r_[1.0, np.full(299, 0.97)].astype(np.float32))
+    # One large value among many that are so much smaller that four iterations do not find it yet.
+    values = jnp.asarray(np.r_[1.0, np.full(299, 0.6)].astype(np.float32))
 
     @jax.jit
     def found(key):
         return spectral_norm(lambda x: values * x, (300,), iterations=4, rtol=0.0, key=key)
 
     many = jax.vmap(found)(jax.random.split(jax.random.key(5), 300))
+    assert np.mean(np.asarray(many.value) < 0.9) > 0.5
     assert np.all(np.asarray(many.upper) >= 1)
+    np.testing.assert_allclose(many.upper / many.value, (0.824 * 300**0.5 / 1e-3) ** (1 / 7), rtol=1e-5)
     assert np.all(np.asarray(many.value) <= 1 + 1e-6)
 
 
@@ -319,13 +328,7 @@ def test_warp_is_differentiable_in_the_displacement():
         d = jnp.asarray(np.random.default_rng(3).uniform(0.1, 0.9, size=(2, *SHAPE)) - 0.5)
         direction = random((2, *SHAPE), 4, np.float64)
 
-        @jax.jit
-        def loss(d):
-            return jnp.sum(jnp.sin(Warp(d)(x)))
-
-        h = 1e-6
-        expected = (loss(d + h * direction) - loss(d - h * direction)) / (2 * h)
-        np.testing.assert_allclose(jnp.vdot(jax.grad(loss)(d), direction), expected, rtol=1e-7)
+        holds_against_differences(lambda d: jnp.sum(jnp.sin(Warp(d)(x))), d, direction)
 
 
 def test_warp_keeps_its_precision_far_from_the_origin():
@@ -351,20 +354,20 @@ def test_warp_refuses_integers():
 
 
 def test_blur_of_a_point_is_the_psf():
-    x = np.zeros((7, 9), np.float32)
+    x = np.zeros(SHAPE, np.float32)
     x[3, 4] = 1
-    blurred = np.asarray(Blur((7, 9), ASYMMETRIC_PSF)(x))
+    blurred = np.asarray(apply(Blur(SHAPE, ASYMMETRIC_PSF), jnp.asarray(x)))
     np.testing.assert_allclose(blurred[2:5, 3:6], ASYMMETRIC_PSF / ASYMMETRIC_PSF.sum(), rtol=1e-6)
     assert np.count_nonzero(blurred) == np.count_nonzero(ASYMMETRIC_PSF)
 
 
-@pytest.mark.parametrize("shape", [(8, 11), (2, 3), (1, 5), (1, 1)])
+@pytest.mark.parametrize("shape", [(8, 11), (2, 3), (1, 1)])
 def test_blur_keeps_constants_and_agrees_with_scipy(shape):
     psf = np.random.default_rng(2).random((5, 7))
-    for blur in (Blur(shape, psf), Blur.gaussian(shape, 1.5)):
-        np.testing.assert_allclose(apply(blur, jnp.full(shape, 0.7)), 0.7, rtol=1e-6)
     with jax.enable_x64(True):
-        x = random(shape, dtype=np.float64)
+        x, constant = random(shape, dtype=np.float64), jnp.full(shape, 0.7)
+        for blur in (Blur(shape, psf), Blur.gaussian(shape, (1.5, 0.8), truncate=3)):
+            np.testing.assert_allclose(apply(blur, constant), 0.7, rtol=1e-14)
         expected = scipy.ndimage.convolve(np.asarray(x), psf / psf.sum(), mode="reflect")
         np.testing.assert_allclose(apply(Blur(shape, psf), x), expected, rtol=0, atol=1e-14)
         gaussian = scipy.ndimage.gaussian_filter(np.asarray(x), (1.5, 0.8), mode="reflect", truncate=3)
@@ -372,16 +375,17 @@ def test_blur_keeps_constants_and_agrees_with_scipy(shape):
 
 
 def test_symmetric_blur_is_its_own_adjoint_and_loses_no_light():
-    blur = Blur.gaussian(SHAPE, 1.1)
-    x = random(SHAPE)
-    np.testing.assert_allclose(blur.adjoint(x), blur(x), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(blur(x).sum(), x.sum(), rtol=1e-5)
+    blur, x = Blur.gaussian(SHAPE, 1.1), random(SHAPE)
+    blurred = np.asarray(apply(blur, x))
+    np.testing.assert_allclose(apply_adjoint(blur, x), blurred, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(blurred.sum(), np.asarray(x).sum(), rtol=1e-5)
 
 
 def test_gaussian_of_width_zero_changes_nothing():
     x = random(SHAPE)
-    np.testing.assert_array_equal(Blur.gaussian(SHAPE, 0)(x), x)
-    np.testing.assert_array_equal(Blur.gaussian(SHAPE, 0).adjoint(x), x)
+    unchanged = Blur.gaussian(SHAPE, 0)
+    np.testing.assert_array_equal(unchanged(x), x)
+    np.testing.assert_array_equal(unchanged.adjoint(x), x)
 
 
 def test_blur_is_differentiable_in_the_psf():
@@ -389,13 +393,10 @@ def test_blur_is_differentiable_in_the_psf():
         blur = Blur(SHAPE, ASYMMETRIC_PSF)
         x, direction = random(SHAPE, dtype=np.float64), random((3, 3), 1, np.float64)
 
-        @jax.jit
         def loss(kernel):
             return jnp.sum(eqx.tree_at(lambda b: b.kernels[0], blur, kernel)(x) ** 3)
 
-        kernel, h = blur.kernels[0], 1e-6
-        expected = (loss(kernel + h * direction) - loss(kernel - h * direction)) / (2 * h)
-        np.testing.assert_allclose(jnp.vdot(jax.grad(loss)(kernel), direction), expected, rtol=1e-7)
+        holds_against_differences(loss, blur.kernels[0], direction)
 
 
 @pytest.mark.parametrize(
@@ -430,11 +431,12 @@ def test_gaussian_refuses_what_is_no_width():
 def test_downsample_is_the_mean_of_each_block():
     x = np.asarray(random(SHAPE))
     down = Downsample(SHAPE, 3)
+    y = np.asarray(random((2, 3), 1))
     expected = [[x[3 * i : 3 * i + 3, 3 * j : 3 * j + 3].mean() for j in range(3)] for i in range(2)]
-    np.testing.assert_allclose(down(x), expected, rtol=0, atol=1e-6)
-    y = random((2, 3), 1)
-    np.testing.assert_allclose(down(jnp.repeat(jnp.repeat(y, 3, 0), 3, 1)), y, rtol=1e-6)
-    np.testing.assert_allclose(9 * down(down.adjoint(y)), y, rtol=1e-6)
+    np.testing.assert_allclose(apply(down, jnp.asarray(x)), expected, rtol=0, atol=1e-6)
+    enlarged = np.kron(y, np.ones((3, 3), np.float32))
+    np.testing.assert_allclose(apply(down, jnp.asarray(enlarged)), y, rtol=1e-6)
+    np.testing.assert_allclose(9 * np.asarray(apply_adjoint(down, jnp.asarray(y))), enlarged, rtol=1e-6)
     np.testing.assert_array_equal(Downsample(SHAPE, 1)(x), x)
 
 
@@ -449,20 +451,20 @@ def test_downsample_refuses_what_does_not_divide():
 
 
 def test_observation_is_the_loop_of_its_parts():
-    shape = (12, 15)
-    sensor = Downsample(shape, 3) @ Blur.gaussian(shape, 0.4)
-    d = np.random.default_rng(0).normal(scale=0.6, size=(5, 2, *shape)).astype(np.float32)
-    d[2, 0, 3, 4] = np.nan
+    sensor = Downsample(SHAPE, 3) @ Blur.gaussian(SHAPE, 0.4)
+    d = motions().astype(np.float32)
     observation = Observation(d, sensor)
-    x, y = random(shape), random((5, 4, 5), 1)
+    x, y = random(SHAPE), random((3, 2, 3), 1)
     frames, back, valid = [], 0, []
     for motion, samples in zip(d, y, strict=True):
         warp = Warp(motion)
-        valid.append(np.asarray(apply(sensor, warp.valid.astype(jnp.float32))) > 0.999 - 1e-6)
-        frames.append(np.where(valid[-1], apply(sensor, apply(warp, x)), 0))
-        back = back + np.asarray(apply_adjoint(warp, apply_adjoint(sensor, jnp.where(valid[-1], samples, 0))))
+        shown, inside = warped(warp, x)
+        valid.append(np.asarray(apply(sensor, jnp.asarray(inside, jnp.float32))) > 0.999 - 1e-6)
+        frames.append(np.where(valid[-1], apply(sensor, shown), 0))
+        kept = jnp.asarray(np.where(valid[-1], samples, np.float32(0)))
+        back = back + np.asarray(apply_adjoint(warp, apply_adjoint(sensor, kept)))
     np.testing.assert_array_equal(observation.valid, valid)
-    assert 10 < np.sum(valid) < 90
+    assert 5 < np.sum(valid) < 18
     np.testing.assert_allclose(apply(observation, x), frames, rtol=0, atol=1e-6)
     np.testing.assert_allclose(apply_adjoint(observation, y), back, rtol=0, atol=1e-6)
 
@@ -472,7 +474,7 @@ def test_observation_of_a_constant_is_that_constant_where_valid():
     sensor = Downsample(shape, 4) @ Blur.gaussian(shape, 0.5)
     shift = np.stack([uniform(i, -2.5 * i, shape) for i in range(3)])
     observation = Observation(shift, sensor)
-    np.testing.assert_allclose(observation(jnp.ones(shape)), np.asarray(observation.valid), rtol=0, atol=2e-3)
+    np.testing.assert_allclose(apply(observation, jnp.ones(shape)), np.asarray(observation.valid), rtol=0, atol=2e-3)
     # The second frame misses a row at the bottom and three columns at the left; the third two rows and five columns, so
     # the blur also reaches from the second block of columns into what is missing.
     expected = np.ones((3, 4, 4), bool)

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from scsr_opt.camera import Recording, Sensor, Simulation, simulate, tfp, write_recording
 from scsr_opt.camera.scenes import Affine
-from scsr_opt.report import Progress, Report, bicubic, figure, whole_file, write_picture
+from scsr_opt.progress import Progress
+from scsr_opt.report import Report, bicubic, figure, whole_file, write_picture
 from scsr_opt.solvers.solution import Solution
 
 SCALE = 4

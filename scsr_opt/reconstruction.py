@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.rates import interval_rates
+from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimate import Estimator, estimate, filled, given
@@ -22,13 +22,14 @@ from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.sampling import accumulate, place, with_exposure
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.total_variation import TotalVariation
-from scsr_opt.solvers.iterate import Progress, Solver, run
+from scsr_opt.progress import Progress
+from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution, Stage
 
-# Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures, short
-# enough for motion to be smooth.
+# Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
+# short enough for motion to be smooth.
 FRAMES = 101
 
 # Corrections for motion during the exposures (majorise–minimise steps); each takes back most of what is left.
@@ -60,8 +61,8 @@ def reconstruct(
     - `key`: frame whose picture is wanted, 0 … T−1; the middle one if not given.
     - `frames`: how many frames around the key frame are used; fewer at the ends of the recording.
     - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording, or 0.6, if not given.
-    - `velocity`: known motion at the key frame, (2, h, w) or two numbers, sensor pixels per frame ([0] down, [1] right);
-      or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by `Automatic` if not given.
+    - `velocity`: known motion at the key frame, (2, h, w) or two numbers, sensor pixels per frame ([0] down, [1]
+      right); or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by `Automatic` if not given.
     - `bad_pixels`: (h, w), true where a pixel must not be used (added to those of the recording).
     - `prior`: Ψ; isotropic `TotalVariation` if not given.
     - `solver`: `FISTA` if not given.
@@ -191,9 +192,10 @@ def _positions(samples: Samples, motion: Motion, scale: int) -> int:
     return 1 if long < _EXPOSURE_MOTION else 3 if long < 3 * _EXPOSURE_MOTION else 5
 
 
-# λ = _SMOOTHING · √(noise / frames) · (2 / scale)^¾. The square root is how far noise moves the gradient of f at a pixel, which
-# total variation has to hold down; the constant and the exponent were found on stills with known answers, three kinds of
-# motion, two lights and two scales (docs/measurements.md), where the best strength lay within a factor of 2 of it.
+# λ = _SMOOTHING · √(noise / frames) · (2 / scale)^¾. The square root is how far noise moves the gradient of f at a
+# pixel, which total variation has to hold down; the constant and the exponent were found on stills with known answers,
+# three kinds of motion, two lights and two scales (docs/measurements.md), where the best strength lay within a factor
+# of 2 of it.
 _SMOOTHING = 0.06
 
 
@@ -223,13 +225,11 @@ def _first_picture(
     shape: tuple[int, int],
 ) -> Float[Array, "H W"]:
     """X^(0): the rate over 21 frames around the key frame, enlarged."""
-    rate = (
-        interval_rates(
-            spikes, np.array([max(key - 10, 0), min(key + 10.0, spikes.shape[0] - 1)]), white_rate=white_rate
-        )
-        if spikes.shape[0] > 1
-        else spikes[:1] / np.float32(white_rate)
-    )
+    if spikes.shape[0] > 1:
+        edges = np.clip(np.array([key - 10.0, key + 10.0]), 0, spikes.shape[0] - 1)
+        rate = interval_rates(spikes, edges, white_rate=white_rate)
+    else:
+        rate = spikes / np.float32(white_rate)
     picture = jnp.asarray(rate, jnp.float32)
     if bad is not None and bad.any():
         picture = filled(picture, ~bad)

@@ -14,7 +14,7 @@ weighted by duration they add up to the exact light between the first and the la
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from scsr_opt.errors import InputError
 
@@ -29,12 +29,12 @@ class Samples(eqx.Module):
     - `weight`: ω_i, in frames of exposure; 0 for entries that only pad the arrays.
     """
 
-    row: Int[np.ndarray, " n"]
-    column: Int[np.ndarray, " n"]
-    start: Float[np.ndarray, " n"]
-    stop: Float[np.ndarray, " n"]
-    value: Float[np.ndarray, " n"]
-    weight: Float[np.ndarray, " n"]
+    row: Int[np.ndarray | Array, " n"]
+    column: Int[np.ndarray | Array, " n"]
+    start: Float[np.ndarray | Array, " n"]
+    stop: Float[np.ndarray | Array, " n"]
+    value: Float[np.ndarray | Array, " n"]
+    weight: Float[np.ndarray | Array, " n"]
 
     @property
     def count(self) -> int:
@@ -51,7 +51,7 @@ class Samples(eqx.Module):
         step = 1 << max(0, n.bit_length() - 4)
         extra = -n % step if n else 1
 
-        def pad(values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
+        def pad(values: Shaped[np.ndarray | Array, " n"]) -> Shaped[np.ndarray, " m"]:
             return np.pad(values, (0, extra))
 
         return Samples(

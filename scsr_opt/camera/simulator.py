@@ -9,7 +9,7 @@ frames.
 import math
 import operator
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -18,19 +18,11 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt.camera.recording import WHITE_RATE
 from scsr_opt.camera.scenes import Scene
 from scsr_opt.errors import InputError
+from scsr_opt.progress import Progress
 
 DARK_ELECTRONS = 1000.0
 """Thermal electrons that make as much charge as white does in one frame, where `photons` does not say (no shot
 noise)."""
-
-
-@runtime_checkable
-class _Progress(Protocol):
-    def start(self, total: int | None, what: str) -> None: ...
-
-    def advance(self, done: int) -> None: ...
-
-    def finish(self) -> None: ...
 
 
 def _real(value: Any) -> float:
@@ -171,7 +163,7 @@ def simulate(
     frames: int = 101,
     sensor: Sensor = Sensor(),  # noqa: B008 (frozen)
     seed: int = 0,
-    progress: _Progress | None = None,
+    progress: Progress | None = None,
 ) -> Simulation:
     """Record `scene` with a spike camera.
 

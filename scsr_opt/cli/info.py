@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from scsr_opt.cli.options import File, Quiet, Reading, progress
-from scsr_opt.report.progress import Progress
+from scsr_opt.progress import Progress
 
 if TYPE_CHECKING:
     import scsr_opt.camera

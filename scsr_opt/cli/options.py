@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from scsr_opt.errors import InputError
+from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.files import check_writable
-from scsr_opt.report.progress import NoProgress, Progress, RichProgress
+from scsr_opt.report.progress import RichProgress
 
 if TYPE_CHECKING:
     import scsr_opt.camera

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from scsr_opt.cli.options import File, Quiet, Reading, check_outputs, key_frame, progress
 from scsr_opt.errors import InputError
-from scsr_opt.report.progress import Progress
+from scsr_opt.progress import Progress
 
 if TYPE_CHECKING:
     import scsr_opt.camera

@@ -1,10 +1,11 @@
 """What all motion estimates here share: short pictures along the recording, moved to the key frame and compared.
 
-A recording is cut into stretches of a few frames; each gives a picture I_b at time τ_b from the key frame. With the right
-motion d, the pictures J_b(q) = I_b(q + d(q, τ_b)) all show the key frame, and agree. If the velocity is wrong by δ, they
-drift: J_b ≈ J̄ + τ_b ∇J̄·δ. So δ follows from the slope of J_b over τ_b, a regression over the whole recording (Gauss–Newton
-on the variance along the motion), where two playbacks would use two of its moments only. Times far from the key frame are
-taken in step by step: at 40,000 frames a second the near ones hardly move, and nothing has to be guessed.
+A recording is cut into stretches of a few frames; each gives a picture I_b at time τ_b from the key frame. With the
+right motion d, the pictures J_b(q) = I_b(q + d(q, τ_b)) all show the key frame, and agree. If the velocity is wrong by
+δ, they drift: J_b ≈ J̄ + τ_b ∇J̄·δ. So δ follows from the slope of J_b over τ_b, a regression over the whole recording
+(Gauss–Newton on the variance along the motion), where two playbacks would use two of its moments only. Times far from
+the key frame are taken in step by step: at 40,000 frames a second the near ones hardly move, and nothing has to be
+guessed.
 """
 
 from typing import NamedTuple
@@ -31,9 +32,9 @@ def stretches(
 ) -> Stretches:
     """The recording as at most `most` pictures of equal length (four frames or more), edge to edge.
 
-    The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it each at
-    most): what fills such gaps is the same light at other times, which stands still, and pulls a velocity towards zero by
-    about 1 % if it takes part.
+    The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it
+    each at most): what fills such gaps is the same light at other times, which stands still, and pulls a velocity
+    towards zero by about 1 % if it takes part.
     """
     frames = spikes.shape[0]
     begin, end = _measured(spikes, key)
@@ -42,7 +43,8 @@ def stretches(
     first = begin + (end - begin - number * length) / 2
     edges = first + length * np.arange(number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
-    return Stretches(jnp.asarray(interval_rates(spikes, edges, white_rate=white_rate)), jnp.asarray(middle, jnp.float32))
+    rates = interval_rates(spikes, edges, white_rate=white_rate)
+    return Stretches(jnp.asarray(rates), jnp.asarray(middle, jnp.float32))
 
 
 # The share of the pixels that must have fired at the first moment that is used, and must still fire at the last one.
@@ -66,8 +68,8 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"], key: int) -> tuple[int, int]:
 class Drift(NamedTuple):
     """The pictures along a motion, reduced to what an update of the motion needs.
 
-    **Fields:** `mean` (h, w) J̄ and its gradient `slope` (2, h, w); for the regressors τ and τ²/2, taken without their mean
-    over the moments at which q is in view: `change` (2, h, w) = Σ_b (basis)(J_b − J̄), `spread` (2, 2, h, w) =
+    **Fields:** `mean` (h, w) J̄ and its gradient `slope` (2, h, w); for the regressors τ and τ²/2, taken without their
+    mean over the moments at which q is in view: `change` (2, h, w) = Σ_b (basis)(J_b − J̄), `spread` (2, 2, h, w) =
     Σ_b (basis)(basis)ᵀ; `residual` (h, w) = Σ_b (J_b − J̄)², and `seen` (h, w), the number of moments.
     """
 
@@ -103,14 +105,16 @@ def drift(
         weight = jnp.where(inside, part, 0)
         value = bilinear(picture[None], row, column)[0] - about
         moments, values = sums
-        moments = moments + weight * (tau**powers)[:, None, None]
-        values = values + weight * value * jnp.stack([jnp.ones_like(value), tau + 0 * value, tau**2 / 2 + 0 * value, value])
+        moments = moments + weight[None] * (tau**powers)[:, None, None]
+        one_to_value = jnp.stack([weight, weight * tau, weight * tau**2 / 2, weight * value])
+        values = values + one_to_value * value[None]
         return (moments, values), None
 
     start = (jnp.zeros((5, height, width), jnp.float32), jnp.zeros((4, height, width), jnp.float32))
     (moments, values), _ = jax.lax.scan(add, start, (pictures, after, taking_part))
     # Σ weight, of the regressors τ and τ²/2, and of their products.
-    seen, first, products = moments[0], jnp.stack([moments[1], moments[2] / 2]), moments[2:] / jnp.array([1.0, 2, 4])[:, None, None]
+    seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])
+    products = moments[2:] / jnp.array([1.0, 2.0, 4.0])[:, None, None]
     count = jnp.maximum(seen, 1e-6)
     mean = values[0] / count
     square = jnp.stack([jnp.stack([products[0], products[1]]), jnp.stack([products[1], products[2]])])
@@ -119,8 +123,8 @@ def drift(
     return Drift(
         mean=full,
         slope=jnp.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2,
-        change=values[1:3] - first * mean,
-        spread=square - first[:, None] * first[None] / count,
+        change=values[1:3] - first * mean[None],
+        spread=square - first[:, None] * first[None] / count[None, None],
         residual=jnp.maximum(values[3] - values[0] * mean, 0),
         seen=seen,
     )

@@ -58,16 +58,17 @@ def _refine(
         spread, change = now.spread[0, 0], now.change[0]
         noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
         # Per unit of residual variance: the information about the velocity in the window.
-        information = smooth(spread * now.slope[:, None] * now.slope[None], window) / noise
-        pull = -smooth(change * now.slope, window) / noise
-        # As if the velocity were known beforehand to within 2 px over the recording: decides only where nothing else does.
+        information = smooth(spread[None, None] * now.slope[:, None] * now.slope[None], window) / noise[None, None]
+        pull = -smooth(change[None] * now.slope, window) / noise[None]
+        # As if the velocity were known beforehand to within 2 px over the recording: decides only where nothing else
+        # does.
         prior = (longest / 2) ** 2
         pull = pull + prior * (base - velocity) * 0.01
         a, b, d = information[0, 0] + 0.01 * prior, information[0, 1], information[1, 1] + 0.01 * prior
         determinant = a * d - b * b
-        update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / determinant
+        update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / determinant[None]
         length = jnp.sqrt((update**2).sum(0))
-        velocity = velocity + update * jnp.minimum(1, bound / longest / jnp.maximum(length, 1e-12))
+        velocity = velocity + update * jnp.minimum(1, bound / longest / jnp.maximum(length, 1e-12))[None]
         # Variance of the poorer component over the recording, in sensor pixels.
         poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
         confidence = 1 / (1 + longest**2 / jnp.maximum(poorest, 1e-12))

@@ -12,13 +12,15 @@ from scsr_opt.motion.dense import dense
 from scsr_opt.motion.parametric import parametric
 from scsr_opt.motion.trajectory import Motion
 
-# A pixel contradicts a motion if another velocity in its window would explain the recording better by this much (likelihood
-# ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on recordings of
-# still scenes the largest value seen was 80, the median 3.5), and would take it more than half a pixel elsewhere.
+# A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
+# (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on
+# recordings of still scenes the largest value seen was 80, the median 3.5), and would take it more than half a pixel
+# elsewhere.
 _CONTRADICTION = 100.0
 _DRIFT = 0.5
 _WINDOW = 3.0
-# The share of the pixels that may contradict before the next richer motion is tried: of nothing moves, of one motion for all.
+# The share of the pixels that may contradict before the next richer motion is tried: of nothing moves, of one motion
+# for all.
 _TOLERATED_AT_REST = 0.001
 _TOLERATED_GLOBAL = 0.01
 
@@ -56,8 +58,8 @@ class Dense(Estimator):
 class Automatic(Estimator):
     """The simplest motion that the recording does not contradict: none, one affine motion for all, or a dense one.
 
-    Few numbers are estimated far better than many, so the richer ones are used only where they are needed. A dense estimate
-    starts from the global one where that explains most of the picture.
+    Few numbers are estimated far better than many, so the richer ones are used only where they are needed. A dense
+    estimate starts from the global one where that explains most of the picture.
     """
 
     def __call__(self, pictures: Stretches) -> Motion:
@@ -87,14 +89,14 @@ def _evidence(
     acceleration: Float[Array, "2 h w"],
     window: Float[Array, ""],
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """Score test of each window's velocity: the gain in log-likelihood ×2 of the best one, and how far that would drift."""
+    """Score test of each window's velocity: twice the gain in log-likelihood of the best one, and how far that goes."""
     now = drift(pictures.picture, pictures.after, jnp.ones_like(pictures.after), velocity, acceleration)
     noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
     samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
-    information = smooth(now.spread[0, 0] * now.slope[:, None] * now.slope[None], window) / noise * samples
-    pull = -smooth(now.change[0] * now.slope, window) / noise * samples
+    information = smooth(now.spread[:1, :1] * now.slope[:, None] * now.slope[None], window) / noise[None, None] * samples
+    pull = -smooth(now.change[:1] * now.slope, window) / noise[None] * samples
     a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
-    update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)
+    update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
     longest = jnp.max(jnp.abs(pictures.after))
     return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest
 
@@ -124,7 +126,8 @@ def estimate(
 def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:
     """The pictures with all but the good pixels replaced by a Gaussian mean of good ones around them."""
     weight = jnp.asarray(good, pictures.dtype)
-    nearby = smooth(pictures * weight[None], jnp.asarray(1.0)) / jnp.maximum(smooth(weight, jnp.asarray(1.0)), 1e-6)[None]
+    reach = jnp.asarray(1.0)
+    nearby = smooth(pictures * weight[None], reach) / jnp.maximum(smooth(weight, reach), 1e-6)[None]
     return jnp.where(jnp.asarray(good)[None], pictures, nearby)
 
 

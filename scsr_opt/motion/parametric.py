@@ -10,19 +10,17 @@ from jaxtyping import Array, Float, Int
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
 from scsr_opt.motion.trajectory import Motion
 
-# (frames from the key frame that take part, presmoothing in sensor pixels, Gauss–Newton steps): from near and blurred to
-# everything and sharp.
+# (frames from the key frame that take part, presmoothing in sensor pixels, Gauss–Newton steps): from near and blurred
+# to everything and sharp.
 _SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 5))
 
 
-def parametric(
-    pictures: Stretches, *, affine: bool = True, start: Motion | None = None
-) -> Motion:
+def parametric(pictures: Stretches, *, affine: bool = True, start: Motion | None = None) -> Motion:
     """One velocity (and acceleration) for the whole scene, or one that varies linearly over the picture.
 
-    Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion, occlusion),
-    by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, twice that with the
-    acceleration that is fitted last. `start` gives a first velocity (its mean is used).
+    Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
+    occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, twice
+    that with the acceleration that is fitted last. `start` gives a first velocity (its mean is used).
     """
     height, width = pictures.picture.shape[1:]
     rows, columns = np.mgrid[0:height, 0:width]
@@ -69,12 +67,13 @@ def _fit(
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
         mismatch = smooth(now.residual / jnp.maximum(now.seen, 1), jnp.asarray(1.5))
         trust = 1 / (1 + (mismatch / (3 * jnp.median(mismatch) + 1e-12)) ** 2)
-        # Regressors: each basis picture times each component of the slope, once for the velocity, once for the acceleration.
+        # Regressors: each basis picture times each component of the slope, once for the velocity, once for the
+        # acceleration.
         regressors = (now.slope[:, None] * basis[None]).reshape(2 * basis.shape[0], -1)
-        weights = (now.spread * trust).reshape(2, 2, -1)
+        weights = (now.spread * trust[None, None]).reshape(2, 2, -1)
         matrix = jnp.concatenate(
             [
-                jnp.concatenate([(regressors * weights[q, r]) @ regressors.T for r in range(orders)], axis=1)
+                jnp.concatenate([(regressors * weights[q, r][None]) @ regressors.T for r in range(orders)], axis=1)
                 for q in range(orders)
             ]
         )

@@ -1,8 +1,9 @@
-"""Where the surface that a sensor pixel sees at time t lies in the key frame: the warp T of Eq. 2, seen from the sensor.
+"""Where that which a sensor pixel sees at time t lies in the key frame: the warp T of Eq. 2, seen from the sensor.
 
 Motion is given at the key frame: the surface at q is at q + d(q, τ) after τ frames, with d = v τ + ½ a τ² (velocity v,
-acceleration a). A sample, however, is taken at a pixel p, and needs the q with q + d(q, τ) = p. That inverse is computed
-once for a few moments, and interpolated between them: at 40,000 frames a second nothing moves far in four frames.
+acceleration a). A sample, however, is taken at a pixel p, and needs the q with q + d(q, τ) = p. That inverse is
+computed once for a few moments, and interpolated between them: at 40,000 frames a second nothing moves far in four
+frames.
 """
 
 import equinox as eqx
@@ -11,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-# Frames between two moments at which the inverse is computed. Between them it is taken as straight; with an acceleration a
-# that is wrong by at most a·(spacing)²/8, a thousandth of a pixel for a turn of 0.01 rad per frame at radius 10.
+# Frames between two moments at which the inverse is computed. Between them it is taken as straight; with an
+# acceleration a that is wrong by at most a·(spacing)²/8, a thousandth of a pixel for a turn of 0.01 rad per frame at
+# radius 10.
 SPACING = 4
 
 
@@ -132,6 +134,8 @@ def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[A
     # Indices into the flattened picture: half the time of indexing by row and column.
     flat, corner = field.reshape(field.shape[0], -1), top * width + left
     below, beside = (width if height > 1 else 0), (1 if width > 1 else 0)
+
+    down, right = down[None], right[None]
 
     def at(offset: int) -> Float[Array, "c ..."]:
         return flat.at[:, corner + offset].get(mode="promise_in_bounds")

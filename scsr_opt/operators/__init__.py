@@ -10,7 +10,7 @@ from scsr_opt.operators.checks import DotTest, SpectralNorm, dot_test, norm_boun
 from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.observation import Observation
 from scsr_opt.operators.operator import Composition, LinearOperator
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, with_exposure
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place, with_exposure
 from scsr_opt.operators.warp import Warp
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "accumulate",
     "dot_test",
     "norm_bound",
+    "place",
     "spectral_norm",
     "with_exposure",
 ]

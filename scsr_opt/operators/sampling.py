@@ -153,9 +153,7 @@ class PlacedSamples(eqx.Module):
 
 
 @eqx.filter_jit
-def place(
-    samples: Samples, path: Trajectory, *, scale: int, positions: int, shape: tuple[int, int]
-) -> PlacedSamples:
+def place(samples: Samples, path: Trajectory, *, scale: int, positions: int, shape: tuple[int, int]) -> PlacedSamples:
     """Where each sample was taken, on the grid of U.
 
     **Arguments:**
@@ -165,24 +163,28 @@ def place(
     - `positions`: K, spread evenly over each exposure; 1 takes its middle.
     """
     height, width = shape
+    start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))
+    pixel_row, pixel_column = jnp.asarray(samples.row), jnp.asarray(samples.column)
 
     def at(weight: Float[Array, " n"], along: Float[Array, ""]):
-        time = samples.start + (samples.stop - samples.start) * along
-        row, column, seen = path.at(samples.row, samples.column, time)
+        time = start + (stop - start) * along
+        row, column, seen = path.at(pixel_row, pixel_column, time)
         row, column = row * scale, column * scale
         # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
         inside = (row >= -1e-3) & (column >= -1e-3)
         inside &= (row <= height - scale + 1e-3) & (column <= width - scale + 1e-3)
-        row, column = jnp.clip(row, 0, height - scale), jnp.clip(column, 0, width - scale)
+        # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
+        row = jnp.clip(jnp.where(inside, row, 0), 0, height - scale)
+        column = jnp.clip(jnp.where(inside, column, 0), 0, width - scale)
         top, left = row.astype(jnp.int32), column.astype(jnp.int32)
         index = top * width + left
         # A sample counts as far as it can be used at each of its positions.
-        weight = jnp.minimum(weight, samples.weight * jnp.where(inside, seen, 0))
+        weight = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
         return weight, (index, row - top.astype(row.dtype), column - left.astype(row.dtype))
 
-    along = (jnp.arange(positions, dtype=samples.start.dtype) + 0.5) / positions
-    weight, (index, down, right) = jax.lax.scan(at, samples.weight, along)
-    return PlacedSamples(index, down, right, samples.value, weight, scale, shape)
+    along = (jnp.arange(positions, dtype=start.dtype) + 0.5) / positions
+    weight, (index, down, right) = jax.lax.scan(at, full, along)
+    return PlacedSamples(index, down, right, value, weight, scale, shape)
 
 
 def _bilinear_weights(down: Array, right: Array) -> tuple[Array, Array, Array, Array]:
@@ -237,14 +239,12 @@ def accumulate(
 def with_exposure(
     term: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"], *, robust: Float[Array, " n"] | None = None
 ) -> DataTerm:
-    """`term`, as `accumulate` made it, with c and e corrected: it touches the exact data term of the exposures at `image`
-    and lies on or above it everywhere.
+    """`term`, as `accumulate` made it, with c and e corrected for the motion during the exposures: it touches the exact
+    data term at `image` and lies on or above it everywhere.
 
     With U = B·image: c' = c + (M − M_e) U and e' = e + ⟨U, (M − M_e) U⟩, M_e from the samples themselves.
     """
     weight = placed.weight if robust is None else placed.weight * robust
     u = term.blurred(image)
     excess = term.stencil(u) - placed.spread(weight * placed.read(u))
-    return eqx.tree_at(
-        lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess))
-    )
+    return eqx.tree_at(lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess)))

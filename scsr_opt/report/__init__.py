@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from scsr_opt.report.figures import bicubic, compare, detailed_part, figure
     from scsr_opt.report.files import check_writable, whole_file
     from scsr_opt.report.pictures import PictureFormat, check_film, quantise, read_picture, write_film, write_picture
-    from scsr_opt.report.progress import NoProgress, Progress, RichProgress
+    from scsr_opt.report.progress import RichProgress
     from scsr_opt.report.summary import Report, versions
 
 _MODULES = {
@@ -23,15 +23,13 @@ _MODULES = {
     "files": ("check_writable", "whole_file"),
     "colours": ("colour_wheel", "full_speed", "motion_colours"),
     "pictures": ("PictureFormat", "check_film", "quantise", "read_picture", "write_film", "write_picture"),
-    "progress": ("NoProgress", "Progress", "RichProgress"),
+    "progress": ("RichProgress",),
     "summary": ("Report", "versions"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "NoProgress",
     "PictureFormat",
-    "Progress",
     "Report",
     "RichProgress",
     "bicubic",

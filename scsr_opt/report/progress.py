@@ -1,44 +1,10 @@
-"""Progress of long work, as an object that can be a no-op.
-
-Whoever works for more than about a second takes a `progress: Progress | None` argument and tells it what is going on;
-the caller decides whether anybody sees it. Compiled loops report after each chunk of iterations, not after each one.
-"""
+"""A progress bar for the terminal."""
 
 import threading
-from typing import IO, TYPE_CHECKING, Protocol, runtime_checkable
+from typing import IO, TYPE_CHECKING
 
 if TYPE_CHECKING:
     import rich.progress
-
-
-@runtime_checkable
-class Progress(Protocol):
-    """What long work calls: `start`, then `advance` any number of times, then `finish`; then perhaps `start` again.
-
-    - `start(total, what)`: begins a part of the work of `total` steps (None where nobody knows); `what` says in a few
-      words what is being done, for example "Solving".
-    - `advance(done)`: `done` more steps are finished since the last call.
-    - `finish()`: this part is over. Also called when the work fails.
-    """
-
-    def start(self, total: int | None, what: str) -> None: ...
-
-    def advance(self, done: int) -> None: ...
-
-    def finish(self) -> None: ...
-
-
-class NoProgress:
-    """Progress that nobody sees."""
-
-    def start(self, total: int | None, what: str) -> None:
-        pass
-
-    def advance(self, done: int) -> None:
-        pass
-
-    def finish(self) -> None:
-        pass
 
 
 class RichProgress:

@@ -4,7 +4,7 @@
 `JaxoptISTA` and `JaxoptFISTA` do the same by an independent implementation.
 """
 
-from scsr_opt.solvers.iterate import Outcome, Progress, Record, Solver, run
+from scsr_opt.solvers.iterate import Outcome, Record, Solver, run
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
@@ -17,7 +17,6 @@ __all__ = [
     "JaxoptISTA",
     "Outcome",
     "Problem",
-    "Progress",
     "Record",
     "Result",
     "Solution",

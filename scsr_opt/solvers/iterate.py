@@ -2,7 +2,7 @@
 
 import abc
 import time
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
+from scsr_opt.progress import Progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Result, Stage
 
@@ -18,14 +19,6 @@ State = TypeVar("State")
 
 # Iterations between two looks from outside. At 20 the loop loses 5 % to being interrupted.
 CHUNK = 20
-
-
-class Progress(Protocol):
-    """What is told of the progress of long work; `scsr_opt.report` has one for terminals."""
-
-    def start(self, total: int, what: str) -> None: ...
-    def advance(self, done: int) -> None: ...
-    def finish(self) -> None: ...
 
 
 class Record(NamedTuple):

@@ -2,7 +2,8 @@ import time
 
 import pytest
 
-from scsr_opt.report import NoProgress, Progress, RichProgress
+from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.report import RichProgress
 
 
 def test_both_are_progress():

@@ -1,0 +1,428 @@
+"""The sampled form against rows written out one by one, and against the explicit operators in the paper's order."""
+
+import itertools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from scsr_opt.camera.samples import Samples
+from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, trajectory
+from scsr_opt.operators import (
+    Aperture,
+    Blur,
+    DataTerm,
+    Downsample,
+    Observation,
+    PlacedSamples,
+    Stencil,
+    accumulate,
+    dot_test,
+    place,
+    with_exposure,
+)
+from scsr_opt.solvers import lipschitz_bound
+
+SENSOR = (4, 5)
+MOMENTS = 4
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def random(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def some_samples(number: int = 60, exposure: float = 3.0, seed: int = 0) -> Samples:
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(0, (MOMENTS - 1) * SPACING - exposure, number)
+    return Samples(
+        row=rng.integers(0, SENSOR[0], number).astype(np.int32),
+        column=rng.integers(0, SENSOR[1], number).astype(np.int32),
+        start=start,
+        stop=start + exposure * rng.random(number),
+        value=rng.random(number),
+        weight=rng.uniform(0.1, 1, number),
+    )
+
+
+def wandering(spread: float = 0.7, seed: int = 1) -> Trajectory:
+    """Every pixel sees places around it, some of them outside the picture, some hidden."""
+    rng = np.random.default_rng(seed)
+    position = np.indices(SENSOR) + rng.normal(scale=spread, size=(MOMENTS, 2, *SENSOR))
+    visible = rng.uniform(0.3, 1, (MOMENTS, *SENSOR))
+    visible[:, 1, 2] = 0
+    return Trajectory(jnp.asarray(0.0), jnp.asarray(position), jnp.asarray(visible))
+
+
+def placed_samples(
+    samples: Samples | None = None, path: Trajectory | None = None, scale: int = 2, positions: int = 1
+) -> PlacedSamples:
+    samples, path = some_samples() if samples is None else samples, wandering() if path is None else path
+    shape = (SENSOR[0] * scale, SENSOR[1] * scale)
+    return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, positions=positions, shape=shape)
+
+
+def rows_one_by_one(samples: Samples, path: Trajectory, scale: int, positions: int) -> tuple[np.ndarray, np.ndarray]:
+    """(K, n, H·W) bilinear rows and (n,) weights."""
+    height, width = SENSOR[0] * scale, SENSOR[1] * scale
+    places, visible = np.asarray(path.position), np.asarray(path.visible)
+    rows = np.zeros((positions, samples.row.size, height, width))
+    weight = np.array(samples.weight)
+    for j, k in itertools.product(range(samples.row.size), range(positions)):
+        r, c = samples.row[j], samples.column[j]
+        time = samples.start[j] + (samples.stop[j] - samples.start[j]) * (k + 0.5) / positions
+        before = min(int(time // SPACING), MOMENTS - 2)
+        part = time / SPACING - before
+        y, x = scale * ((1 - part) * places[before, :, r, c] + part * places[before + 1, :, r, c])
+        seen = (1 - part) * visible[before, r, c] + part * visible[before + 1, r, c]
+        if not (0 <= y <= height - scale and 0 <= x <= width - scale):
+            weight[j] = 0
+            continue
+        weight[j] = min(weight[j], samples.weight[j] * seen)
+        for corner_y, corner_x in itertools.product(*((math.floor(v), math.floor(v) + 1) for v in (y, x))):
+            share = (1 - abs(y - corner_y)) * (1 - abs(x - corner_x))
+            if share > 0:
+                rows[k, j, corner_y, corner_x] += share
+    return rows.reshape(positions, -1, height * width), weight
+
+
+def in_double_precision(path: Trajectory) -> Trajectory:
+    return jax.tree.map(lambda a: a.astype(jnp.float64), path)
+
+
+def dense(function, shape: tuple[int, int]) -> np.ndarray:
+    size = math.prod(shape)
+    columns = jax.vmap(lambda e: function(e.reshape(shape)).reshape(-1))(jnp.eye(size))
+    return np.asarray(columns).T
+
+
+def apertures(shape: tuple[int, int], scale: int) -> np.ndarray:
+    """The matrix of a sliding mean."""
+    matrix = np.zeros((*shape, *shape))
+    for i, j in itertools.product(range(shape[0] - scale + 1), range(shape[1] - scale + 1)):
+        matrix[i, j, i : i + scale, j : j + scale] = 1 / scale**2
+    return matrix.reshape(math.prod(shape), -1)
+
+
+def written_out(samples: Samples, path: Trajectory, scale: int, positions: int, optics: Blur | None = None):
+    """f(x) = ½ Σ ω (A x − y)² as A, ω, y, from loops."""
+    rows, weight = rows_one_by_one(samples, path, scale, positions)
+    shape = (SENSOR[0] * scale, SENSOR[1] * scale)
+    blur = apertures(shape, scale)
+    if optics is not None:
+        blur = blur @ dense(optics, shape)
+    return rows.mean(0) @ blur, weight, np.asarray(samples.value)
+
+
+SCALES = [1, 2, 3, 4, 8]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_aperture(scale):
+    shape = (3 * scale, 2 * scale)
+    aperture = Aperture(shape, scale)
+    assert dot_test(aperture, dtype=jnp.float64).passed
+    image = random(shape)
+    np.testing.assert_allclose(aperture(image)[::scale, ::scale], Downsample(shape, scale)(image), atol=1e-14)
+    np.testing.assert_allclose(dense(aperture, shape), apertures(shape, scale), atol=1e-15)
+
+
+def test_stencil_is_symmetric_and_couples_neighbours_only():
+    matrix = dense(Stencil(jnp.asarray(random((5, 4, 6)))), (4, 6))
+    inside = np.ones((4, 6))
+    inside[:, 0] = inside[:, -1] = inside[-1] = 0
+    # Couplings that leave the picture exist in random planes, not in accumulated ones.
+    stencil = Stencil(jnp.asarray(random((5, 4, 6)) * inside))
+    matrix = dense(stencil, (4, 6))
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-15)
+    place_of = np.stack(np.unravel_index(np.arange(24), (4, 6)), 1)
+    apart = np.abs(place_of[:, None] - place_of[None]).max(-1)
+    assert not matrix[apart > 1].any() and (matrix[apart <= 1] != 0).sum() > 24
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_stencil_is_the_sum_over_samples(scale):
+    samples, path = some_samples(), wandering()
+    rows, weight = rows_one_by_one(samples, path, scale, 3)
+    assert 0 < np.count_nonzero(weight) < weight.size  # some are outside, some are hidden
+    placed = placed_samples(samples, path, scale, 3)
+    np.testing.assert_allclose(placed.weight, weight, atol=1e-12)
+    term = accumulate(placed)
+    expected = np.einsum("n,kni,knj->ij", weight, rows, rows) / 3
+    np.testing.assert_allclose(dense(term.stencil, placed.shape), expected, atol=1e-12)
+    target = (weight * samples.value) @ rows.mean(0)
+    np.testing.assert_allclose(term.target.reshape(-1), target, atol=1e-12)
+    np.testing.assert_allclose(term.energy, weight @ samples.value**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("positions", [1, 3])
+def test_reading_is_the_rows_and_spreading_its_adjoint(positions):
+    samples, path = some_samples(), wandering(0.1)
+    rows, weight = rows_one_by_one(samples, path, 2, positions)
+    placed = placed_samples(samples, path, positions=positions)
+    u, values = random(placed.shape), random((60,), 1)
+    used = weight > 0
+    np.testing.assert_allclose(np.asarray(placed.read(jnp.asarray(u)))[used], (rows.mean(0) @ u.ravel())[used])
+    there = float(jnp.vdot(placed.read(jnp.asarray(u)), values))
+    back = float(jnp.vdot(u, placed.spread(jnp.asarray(values))))
+    assert there == pytest.approx(back, rel=1e-12)
+
+
+@pytest.mark.parametrize("blurred", [False, True], ids=["perfect lens", "blur"])
+@pytest.mark.parametrize("scale", [1, 2, 3])
+def test_value_and_gradient_are_those_of_the_sum_over_samples(scale, blurred):
+    samples, path = some_samples(), wandering()
+    placed = placed_samples(samples, path, scale)
+    optics = Blur.gaussian(placed.shape, 0.8) if blurred else None
+    matrix, weight, value = written_out(samples, path, scale, 1, optics)
+    image = random(placed.shape)
+    off = matrix @ image.ravel() - value
+    term = accumulate(placed, optics=optics)
+    found, gradient = term.value_and_gradient(jnp.asarray(image))
+    assert float(found) == pytest.approx(0.5 * weight @ off**2, rel=1e-12)
+    np.testing.assert_allclose(gradient.reshape(-1), matrix.T @ (weight * off), atol=1e-12)
+    np.testing.assert_allclose(gradient, jax.grad(term.value)(jnp.asarray(image)), atol=1e-12)
+    normal = (matrix.T * weight) @ (matrix @ image.ravel())
+    np.testing.assert_allclose(term.normal(jnp.asarray(image)).reshape(-1), normal, atol=1e-12)
+
+
+def test_robust_factors_multiply_the_weights():
+    samples, factor = some_samples(), np.random.default_rng(2).random(60)
+    lighter = eqx.tree_at(lambda s: s.weight, samples, samples.weight * factor)
+    found = accumulate(placed_samples(samples), robust=jnp.asarray(factor))
+    assert_same(found, accumulate(placed_samples(lighter)))
+
+
+def assert_same(first: DataTerm, second: DataTerm):
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+
+
+def subset(samples: Samples, keep: np.ndarray) -> Samples:
+    return jax.tree.map(lambda values: values[keep], samples)
+
+
+def test_padding_has_no_influence():
+    samples = some_samples(37)
+    padded = samples.padded()
+    assert padded.row.size > 37
+    assert_same(accumulate(placed_samples(padded, positions=3)), accumulate(placed_samples(samples, positions=3)))
+
+
+@pytest.mark.parametrize("how", ["hidden", "outside", "nowhere"])
+def test_what_the_key_frame_does_not_show_has_no_influence(how):
+    samples, path = some_samples(), wandering(0.1)
+    pixel = (slice(None), 2, 3)
+    if how == "hidden":
+        path = eqx.tree_at(lambda p: p.visible, path, path.visible.at[pixel].set(0))
+    else:
+        beyond = -3.0 if how == "outside" else jnp.nan
+        path = eqx.tree_at(lambda p: p.position, path, path.position.at[:, 0, 2, 3].set(beyond))
+    there = (samples.row == 2) & (samples.column == 3)
+    assert there.any()
+    assert_same(
+        accumulate(placed_samples(samples, path, positions=3)),
+        accumulate(placed_samples(subset(samples, ~there), path, positions=3)),
+    )
+
+
+# ---- against the explicit operators, D H T of Eq. 2 ----
+
+
+def explicit_and_sampled(
+    motion_of, scale: int, times: np.ndarray, optics: bool = False, sensor: tuple[int, int] = (12, 14)
+) -> tuple[Observation, PlacedSamples, Blur | None]:
+    """Both forms for a velocity given as a function of sensor rows and columns, (2, …) pixels per frame, key time 0."""
+    height, width = sensor
+    shape = (height * scale, width * scale)
+    velocity = np.stack(motion_of(*np.indices(sensor).astype(float)))
+    motion = Motion.of_velocity(velocity)
+    start, stop = int(times.min()), int(times.max()) + 1
+    path = in_double_precision(trajectory(motion, key=-start, start=0, stop=stop - start))
+    row, column = np.indices(sensor).reshape(2, -1)
+    at = np.repeat(times - start, row.size)
+    n = at.size
+    samples = Samples(
+        row=np.tile(row, len(times)).astype(np.int32),
+        column=np.tile(column, len(times)).astype(np.int32),
+        start=at,
+        stop=at,
+        value=np.zeros(at.size),
+        weight=np.ones(at.size),
+    )
+    placed = place(jax.tree.map(jnp.asarray, samples), path, scale=scale, positions=1, shape=shape)
+    # A high-resolution pixel's place on the sensor's grid; p = q + v(q) τ solved for q by iteration, at full accuracy.
+    here = (np.indices(shape) - (scale - 1) / 2) / scale
+    displacement = []
+    for time in times:
+        seen = here.copy()
+        for _ in range(50):
+            seen = here - time * np.stack(motion_of(*seen))
+        displacement.append(scale * (seen - here))
+    lens = Blur.gaussian(shape, 0.8) if optics else None
+    down = Downsample(shape, scale)
+    return Observation(np.stack(displacement), down if lens is None else down @ lens), placed, lens
+
+
+def smooth_picture(shape: tuple[int, int]) -> np.ndarray:
+    """Waves of six pixels and longer."""
+    y, x = np.indices(shape)
+    return 0.5 + 0.2 * np.sin(2 * np.pi * (0.16 * y + 0.03 * x)) + 0.2 * np.sin(2 * np.pi * (0.11 * x - 0.07 * y))
+
+
+def both_readings(explicit: Observation, placed: PlacedSamples, lens: Blur | None, image: np.ndarray):
+    blurred = image if lens is None else lens(image)
+    sampled = np.asarray(placed.read(Aperture(placed.shape, placed.scale)(blurred))).reshape(explicit.output_shape)
+    return np.asarray(explicit(image)), sampled, np.asarray(placed.weight > 0).reshape(explicit.output_shape)
+
+
+@pytest.mark.parametrize(
+    "velocity", [(1.0, 0.0), (-0.5, 1.0), (0.25, -0.25), (0.13, 0.31)], ids=["whole", "half", "quarter", "any"]
+)
+@pytest.mark.parametrize("scale", [1, 2, 4])
+def test_translations_are_exactly_those_of_the_explicit_operators(scale, velocity):
+    """By whole pixels, and, as a bilinear shift and a mean are both convolutions, by any part of one. What differs is
+    rounding: the trajectory is kept in float32, 1e-7 of a position of at most 56 pixels, times a slope below 1."""
+
+    def motion_of(y, x):
+        return [np.full_like(y, v) for v in velocity]
+
+    explicit, placed, _ = explicit_and_sampled(motion_of, scale, np.array([-2.0, -1.0, 0.0, 2.0]))
+    image = np.random.default_rng(0).random(placed.shape)
+    seen, sampled, used = both_readings(explicit, placed, None, image)
+    np.testing.assert_array_equal(used, np.asarray(explicit.valid))
+    assert used.mean() > 0.5
+    np.testing.assert_allclose(sampled[used], seen[used], atol=2e-5)
+    values = jnp.asarray(random(explicit.output_shape) * used)
+    term = accumulate(eqx.tree_at(lambda p: p.value, placed, values.reshape(-1)))
+    off = explicit(image) - values
+    assert float(term.value(jnp.asarray(image))) == pytest.approx(0.5 * float(jnp.sum(off**2)), rel=1e-5)
+    np.testing.assert_allclose(term.gradient(jnp.asarray(image)), explicit.adjoint(off), atol=5e-5)
+
+
+def test_a_lens_in_translation_is_that_of_the_explicit_operators_away_from_the_border():
+    def motion_of(y, x):
+        return np.full_like(y, 0.2), np.full_like(x, -0.35)
+
+    explicit, placed, lens = explicit_and_sampled(motion_of, 2, np.array([-3.0, 0.0, 2.0]), optics=True)
+    seen, sampled, used = both_readings(explicit, placed, lens, np.random.default_rng(0).random(placed.shape))
+    used[:, :4] = used[:, -4:] = used[:, :, :4] = used[:, :, -4:] = False
+    assert used.any()
+    np.testing.assert_allclose(sampled[used], seen[used], atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("turn", "zoom", "bound"), [(0.0, 0.0, 1e-6), (0.002, 0.0, 1e-3), (0.0, 0.002, 2e-3), (0.01, 0.01, 1e-2)]
+)
+def test_other_motions_are_nearly_those_of_the_explicit_operators(turn, zoom, bound):
+    """The aperture is moved but not deformed, and bilinear weights are taken at its corner, not at each of its pixels.
+
+    Both change by g = 8·‖∇v‖ over the eight frames here; a deformed aperture of s pixels is off by at most s·g / 2
+    pixels at its rim, in both directions evenly, and the corner's fractions by s·g from those at the far side. The
+    bounds are twice what was measured for this picture (×4).
+    """
+
+    def motion_of(y, x):
+        y, x = y - 5.5, x - 6.5
+        return zoom * y + turn * x + 0.05, zoom * x - turn * y - 0.03
+
+    explicit, placed, _ = explicit_and_sampled(motion_of, 4, np.array([-8.0, -3.0, 4.0, 8.0]))
+    seen, sampled, used = both_readings(explicit, placed, None, smooth_picture(placed.shape))
+    used &= np.asarray(explicit.valid)
+    assert used.mean() > 0.6
+    difference = np.linalg.norm((sampled - seen)[used]) / np.linalg.norm((seen - seen[used].mean())[used])
+    print(f"turn {turn}, zoom {zoom} a frame: relative difference {difference:.1e}")
+    assert difference <= bound
+
+
+# ---- exposures ----
+
+
+def exact(samples: Samples, path: Trajectory):
+    matrix, weight, value = written_out(samples, path, 2, 3)
+
+    def value_and_gradient(image: np.ndarray) -> tuple[float, np.ndarray]:
+        off = matrix @ image.ravel() - value
+        return 0.5 * float(weight @ off**2), (matrix.T @ (weight * off)).reshape(image.shape)
+
+    return value_and_gradient
+
+
+def test_exposure_term_touches_the_exact_one_from_above():
+    samples, path = some_samples(exposure=5), wandering(0.4)
+    placed = placed_samples(samples, path, positions=3)
+    value_and_gradient = exact(samples, path)
+    image = random(placed.shape)
+    term = with_exposure(accumulate(placed), placed, jnp.asarray(image))
+    value, gradient = value_and_gradient(image)
+    assert float(term.value(jnp.asarray(image))) == pytest.approx(value, rel=1e-12)
+    np.testing.assert_allclose(term.gradient(jnp.asarray(image)), gradient, atol=1e-12)
+    for seed in range(20):
+        other = image + random(placed.shape, seed + 1) * 10.0 ** (seed % 5 - 3)
+        assert float(term.value(jnp.asarray(other))) >= value_and_gradient(other)[0] - 1e-12
+    far = random(placed.shape, 99)  # and it is not just the same
+    assert float(term.value(jnp.asarray(far))) > 1.01 * value_and_gradient(far)[0]
+
+
+def test_correcting_again_and_again_lowers_the_exact_objective_to_its_minimum():
+    samples, path = some_samples(exposure=5), wandering(0.4)
+    placed = placed_samples(samples, path, positions=3)
+    value_and_gradient = exact(samples, path)
+    uncorrected = accumulate(placed)
+    step = 1 / lipschitz_bound(uncorrected)
+
+    @eqx.filter_jit
+    def descend(term: DataTerm, image: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, 50, lambda _, x: x - step * term.gradient(x), image)
+
+    image = jnp.zeros(placed.shape)
+    values = []
+    for _ in range(12):
+        values.append(value_and_gradient(np.asarray(image))[0])
+        image = descend(with_exposure(uncorrected, placed, image), image)
+    assert np.all(np.diff(values) < 0)
+    matrix, weight, value = written_out(samples, path, 2, 3)
+    root = np.sqrt(weight)
+    best = np.linalg.lstsq(root[:, None] * matrix, root * value, rcond=None)[0]
+    least = value_and_gradient(best.reshape(placed.shape))[0]
+    assert values[0] > 10 * least + 1
+    assert values[-1] - least < 1e-3 * (values[0] - least)
+
+
+# ---- step size, and sensors that are hardly pictures ----
+
+
+@pytest.mark.parametrize("scale", [1, 2, 4])
+def test_lipschitz_bound_is_above_the_largest_eigenvalue_and_not_far(scale):
+    def motion_of(y, x):
+        return np.full_like(y, 0.13), np.full_like(x, -0.21)
+
+    _, placed, _ = explicit_and_sampled(motion_of, scale, np.arange(-8.0, 9.0), sensor=(5, 6))
+    term = accumulate(placed)
+    largest = np.linalg.eigvalsh(dense(term.normal, placed.shape)).max()
+    bound = float(lipschitz_bound(term))
+    assert largest * (1 - 1e-6) <= bound <= 1.5 * largest
+
+
+@pytest.mark.parametrize("scale", [1, 2, 3])
+@pytest.mark.parametrize("sensor", [(1, 1), (1, 6), (5, 1)])
+def test_narrow_sensors(sensor, scale):
+    """At rest each sample is the mean of its block, so the gradient at 0 spreads −Y evenly over it."""
+    row, column = (index.reshape(-1).astype(np.int32) for index in np.indices(sensor))
+    time, value = np.zeros(row.size), np.random.default_rng(0).random(row.size)
+    samples = jax.tree.map(jnp.asarray, Samples(row, column, time, time, value, np.ones(row.size)))
+    shape = (sensor[0] * scale, sensor[1] * scale)
+    path = in_double_precision(trajectory(Motion.none(*sensor), key=0, start=0, stop=1))
+    placed = place(samples, path, scale=scale, positions=1, shape=shape)
+    term = accumulate(placed)
+    expected = np.kron(value.reshape(sensor), np.full((scale, scale), -1 / scale**2))
+    np.testing.assert_allclose(term.gradient(jnp.zeros(shape)), expected, atol=1e-14)
+    assert float(lipschitz_bound(term)) == pytest.approx(1 / scale**2)

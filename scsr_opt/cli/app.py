@@ -73,8 +73,6 @@ def _sentence(error: Exception) -> str:
         return "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}." if error.filename else f"{error.strerror}."
-    if isinstance(error, ValueError):  # an argument that a solver, a prior or an operator refuses
-        return str(error)
     return f"{type(error).__name__}: {error} (a fault of the program; SCSR_TRACEBACK=1 shows where)"
 
 

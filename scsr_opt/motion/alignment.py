@@ -38,7 +38,7 @@ def stretches(
     """
     frames = spikes.shape[0]
     begin, end = _measured(spikes, key)
-    length = max(4, -(-(end - begin) // most)) if frames >= 8 else max(frames // 2, 1)
+    length = max(4, -(-(end - begin) // most)) if frames > 8 else max((frames - 1) // 2, 1)
     number = max((end - begin) // length, 1)
     first = begin + (end - begin - number * length) / 2
     edges = first + length * np.arange(number + 1)

@@ -1,35 +1,22 @@
-"""Which motion a recording shows: none, one for the whole scene, or one for each pixel."""
+"""Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
 from scsr_opt.errors import InputError
-from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth, stretches
+from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.dense import dense
+from scsr_opt.motion.estimator import Estimator
+from scsr_opt.motion.evidence import contradicted
+from scsr_opt.motion.layers import layered
 from scsr_opt.motion.parametric import parametric
 from scsr_opt.motion.trajectory import Motion
 
-# A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
-# (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on
-# recordings of still scenes the largest value seen was 80, the median 3.5), and would take it more than half a pixel
-# elsewhere.
-_CONTRADICTION = 100.0
-_DRIFT = 0.5
-_WINDOW = 3.0
 # The share of the pixels that may contradict before the next richer motion is tried: of nothing moves, of one motion
 # for all.
 _TOLERATED_AT_REST = 0.001
 _TOLERATED_GLOBAL = 0.01
-
-
-class Estimator(eqx.Module):
-    """How the motion is found; called by `reconstruct` with the recording's stretches."""
-
-    def __call__(self, pictures: Stretches) -> Motion:
-        raise NotImplementedError
 
 
 class Still(Estimator):
@@ -49,17 +36,16 @@ class Global(Estimator):
 
 
 class Dense(Estimator):
-    """A velocity for each pixel (`dense`)."""
+    """A velocity for each pixel (`dense`); no edges, no occlusion."""
 
     def __call__(self, pictures: Stretches) -> Motion:
         return dense(pictures)
 
 
 class Automatic(Estimator):
-    """The simplest motion that the recording does not contradict: none, one affine motion for all, or a dense one.
+    """The simplest motion that the recording does not contradict: none, one affine motion for all, or layers.
 
-    Few numbers are estimated far better than many, so the richer ones are used only where they are needed. A dense
-    estimate starts from the global one where that explains most of the picture.
+    Few numbers are estimated far better than many, so the richer ones are used only where they are needed.
     """
 
     def __call__(self, pictures: Stretches) -> Motion:
@@ -71,34 +57,8 @@ class Automatic(Estimator):
         left = contradicted(pictures, together).mean()
         if left <= _TOLERATED_GLOBAL:
             return together
-        return dense(pictures, start=together if left < moving / 2 else still)
-
-
-def contradicted(pictures: Stretches, motion: Motion) -> np.ndarray:
-    """(h, w) bool: where the recording contradicts `motion`, see above."""
-    evidence, drifted = _evidence(
-        presmoothed(pictures, 1.0), jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(_WINDOW)
-    )
-    return np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
-
-
-@jax.jit
-def _evidence(
-    pictures: Stretches,
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
-    window: Float[Array, ""],
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """Score test of each window's velocity: twice the gain in log-likelihood of the best one, and how far that goes."""
-    now = drift(pictures.picture, pictures.after, jnp.ones_like(pictures.after), velocity, acceleration)
-    noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
-    samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
-    information = smooth(now.spread[:1, :1] * now.slope[:, None] * now.slope[None], window) / noise[None, None] * samples
-    pull = -smooth(now.change[:1] * now.slope, window) / noise[None] * samples
-    a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
-    update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
-    longest = jnp.max(jnp.abs(pictures.after))
-    return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest
+        background = together if left < moving / 2 else still
+        return layered(pictures, background, dense(pictures, start=background))
 
 
 def estimate(

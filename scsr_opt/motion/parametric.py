@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
 from scsr_opt.motion.trajectory import Motion
@@ -15,12 +15,19 @@ from scsr_opt.motion.trajectory import Motion
 _SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 5))
 
 
-def parametric(pictures: Stretches, *, affine: bool = True, start: Motion | None = None) -> Motion:
+def parametric(
+    pictures: Stretches,
+    *,
+    affine: bool = True,
+    start: Motion | None = None,
+    where: Bool[np.ndarray, "h w"] | None = None,
+) -> Motion:
     """One velocity (and acceleration) for the whole scene, or one that varies linearly over the picture.
 
     Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
     occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, twice
-    that with the acceleration that is fitted last. `start` gives a first velocity (its mean is used).
+    that with the acceleration that is fitted last. `start` gives a first velocity (its mean is used). With
+    `where`, only these pixels of the key frame are looked at; the motion is still given everywhere.
     """
     height, width = pictures.picture.shape[1:]
     rows, columns = np.mgrid[0:height, 0:width]
@@ -29,13 +36,22 @@ def parametric(pictures: Stretches, *, affine: bool = True, start: Motion | None
     basis = jnp.asarray(np.stack(shapes if affine else shapes[:1]), jnp.float32)
     velocity = jnp.zeros((basis.shape[0], 2), jnp.float32)
     if start is not None:
-        velocity = velocity.at[0].set(jnp.asarray(start.velocity.mean((1, 2)), jnp.float32))
+        known = start.velocity if where is None else start.velocity[:, where]
+        velocity = velocity.at[0].set(jnp.asarray(known.reshape(2, -1).mean(1), jnp.float32))
     acceleration = jnp.zeros_like(velocity)
+    region = jnp.ones((height, width), jnp.float32) if where is None else jnp.asarray(where, jnp.float32)
     for reach, sigma, steps in _SCHEDULE:
         part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
         with_acceleration = reach == np.inf and pictures.after.shape[0] >= 4
         velocity, acceleration = _fit(
-            presmoothed(pictures, sigma), part, basis, velocity, acceleration, jnp.asarray(steps), with_acceleration
+            presmoothed(pictures, sigma),
+            part,
+            region,
+            basis,
+            velocity,
+            acceleration,
+            jnp.asarray(steps),
+            with_acceleration,
         )
     field = np.asarray(jnp.einsum("phw,pc->chw", basis, velocity))
     change = np.asarray(jnp.einsum("phw,pc->chw", basis, acceleration))
@@ -46,6 +62,7 @@ def parametric(pictures: Stretches, *, affine: bool = True, start: Motion | None
 def _fit(
     pictures: Stretches,
     part: Float[Array, " n"],
+    region: Float[Array, "h w"],
     basis: Float[Array, "p h w"],
     velocity: Float[Array, "p 2"],
     acceleration: Float[Array, "p 2"],
@@ -66,7 +83,8 @@ def _fit(
         )
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
         mismatch = smooth(now.residual / jnp.maximum(now.seen, 1), jnp.asarray(1.5))
-        trust = 1 / (1 + (mismatch / (3 * jnp.median(mismatch) + 1e-12)) ** 2)
+        usual = jnp.nanmedian(jnp.where(region > 0, mismatch, jnp.nan))
+        trust = region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
         # Regressors: each basis picture times each component of the slope, once for the velocity, once for the
         # acceleration.
         regressors = (now.slope[:, None] * basis[None]).reshape(2 * basis.shape[0], -1)

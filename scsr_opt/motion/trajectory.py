@@ -10,12 +10,27 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 # Frames between two moments at which the inverse is computed. Between them it is taken as straight; with an
 # acceleration a that is wrong by at most a·(spacing)²/8, a thousandth of a pixel for a turn of 0.01 rad per frame at
 # radius 10.
 SPACING = 4
+
+
+class Layers(eqx.Module):
+    """Surfaces with a motion of their own each, one in front of another.
+
+    **Fields:**
+    - `velocity`, `acceleration`: (layers, 2, h, w), of every layer over the whole picture, as in `Motion`.
+    - `label`: (h, w), the layer that the key frame shows at a pixel.
+    - `depth`: (layers,), the larger the nearer.
+    """
+
+    velocity: Float[np.ndarray, "layers 2 h w"]
+    acceleration: Float[np.ndarray, "layers 2 h w"]
+    label: Int[np.ndarray, "h w"]
+    depth: Int[np.ndarray, " layers"]
 
 
 class Motion(eqx.Module):
@@ -26,11 +41,13 @@ class Motion(eqx.Module):
       [1] columns).
     - `acceleration`: (2, h, w), sensor pixels per frame².
     - `confidence`: (h, w) in [0, 1]: 1 where the velocity is well determined, 0 where nothing supports it.
+    - `layers`: what moves in front of what; None where one smooth motion serves the whole picture.
     """
 
     velocity: Float[np.ndarray, "2 h w"]
     acceleration: Float[np.ndarray, "2 h w"]
     confidence: Float[np.ndarray, "h w"]
+    layers: Layers | None = None
 
     @classmethod
     def of_velocity(
@@ -46,6 +63,14 @@ class Motion(eqx.Module):
     def none(cls, height: int, width: int) -> "Motion":
         """Nothing moves."""
         return cls.of_velocity(np.zeros((2, height, width), np.float32))
+
+    @classmethod
+    def of_layers(cls, layers: Layers, confidence: Float[np.ndarray, "h w"]) -> "Motion":
+        """Each key-frame pixel moves with its layer."""
+        chosen = layers.label[None, None]
+        velocity = np.take_along_axis(layers.velocity, chosen, 0)[0]
+        acceleration = np.take_along_axis(layers.acceleration, chosen, 0)[0]
+        return cls(velocity, acceleration, confidence, layers)
 
     @property
     def speed(self) -> Float[np.ndarray, "h w"]:
@@ -86,20 +111,61 @@ class Trajectory(eqx.Module):
         return between[:, 0], between[:, 1], between[:, 2]
 
 
+# A point counts as part of a layer if, between pixel centres, this share of it is; from the second share on it counts
+# fully. In between, a sensor pixel sees two surfaces at once.
+_PART, _WHOLE = 0.5, 0.9
+
+
 def trajectory(motion: Motion, *, key: int, start: int, stop: int) -> Trajectory:
-    """The inverse trajectories of frames `start` to `stop` (exclusive) around key frame `key`."""
+    """The inverse trajectories of frames `start` to `stop` (exclusive) around key frame `key`.
+
+    With layers, a pixel sees the nearest one that comes to lie there; where there is none, what it sees was hidden in
+    the key frame, and `visible` is 0.
+    """
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
     if not np.any(motion.velocity) and not np.any(motion.acceleration):
         moments = moments[:1]  # nothing moves: one moment serves all
-    position = _invert(
-        jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(moments - np.float32(key))
-    )
-    visible = jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
-    return Trajectory(jnp.asarray(moments[0]), position, visible)
+    after, first = jnp.asarray(moments - np.float32(key)), jnp.asarray(moments[0])
+    layers = motion.layers
+    if layers is None:
+        position = inverse(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
+        return Trajectory(first, position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype))
+    order = np.argsort(-layers.depth, kind="stable")
+    nearest_first = (layers.velocity[order], layers.acceleration[order])
+    membership = (layers.label == order[:, None, None]).astype(np.float32)
+    position, visible = _front(*(jnp.asarray(v) for v in (*nearest_first, membership)), after)
+    return Trajectory(first, position, visible)
 
 
 @jax.jit
-def _invert(
+def _front(
+    velocity: Float[Array, "layers 2 h w"],
+    acceleration: Float[Array, "layers 2 h w"],
+    membership: Float[Array, "layers h w"],
+    after: Float[Array, " n"],
+) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
+    """Position and visibility of the first layer (they come nearest first) that is there."""
+
+    def behind(seen: tuple[Array, Array], layer: tuple[Array, Array, Array]):
+        position, part = seen
+        velocity, acceleration, membership = layer
+        here = inverse(velocity, acceleration, after)
+        member = jax.lax.map(lambda q: bilinear(membership[None], q[0], q[1])[0], here)
+        # Where no layer is certain, the one that is most so far counts.
+        better = (part <= _PART) & (member > part)
+        return (jnp.where(better[:, None], here, position), jnp.where(better, member, part)), None
+
+    moments, (_, _, height, width) = after.shape[0], velocity.shape
+    begin = (
+        jnp.zeros((moments, 2, height, width), velocity.dtype),
+        jnp.full((moments, height, width), -1, velocity.dtype),
+    )
+    (position, part), _ = jax.lax.scan(behind, begin, (velocity, acceleration, membership))
+    return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
+
+
+@jax.jit
+def inverse(
     velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
 ) -> Float[Array, "n 2 h w"]:
     """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`, by fixed-point iteration from q = p.

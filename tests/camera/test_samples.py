@@ -173,7 +173,7 @@ def test_padding_is_little_and_of_few_lengths():
         return Samples(whole, whole, zeros, zeros, zeros, zeros).padded().row.size
 
     sizes = np.arange(1, 5000)
-    padded = np.array([lengths(n) for n in sizes])
+    padded = np.array([lengths(int(n)) for n in sizes])
     assert np.all(padded >= sizes) and np.all(padded - sizes <= sizes / 8)
     assert np.unique(padded[sizes >= 16]).size <= 8 * np.log2(5000 / 16) + 1
 

@@ -1,0 +1,18 @@
+"""How what the sensor sees moves: velocities, their estimates, and the paths that follow from them.
+
+Velocities are (2, h, w), sensor pixels per frame, [0] down, [1] right, on the key frame's grid.
+"""
+
+from scsr_opt.motion.estimate import Automatic as Automatic
+from scsr_opt.motion.estimate import Dense as Dense
+from scsr_opt.motion.estimate import Global as Global
+from scsr_opt.motion.estimate import Still as Still
+from scsr_opt.motion.estimate import estimate as estimate
+from scsr_opt.motion.estimate import given as given
+from scsr_opt.motion.estimator import Estimator as Estimator
+from scsr_opt.motion.phase import PhaseCorrelation as PhaseCorrelation
+from scsr_opt.motion.playback_flow import ILK as ILK
+from scsr_opt.motion.playback_flow import TVL1 as TVL1
+from scsr_opt.motion.trajectory import Motion as Motion
+from scsr_opt.motion.trajectory import Trajectory as Trajectory
+from scsr_opt.motion.trajectory import trajectory as trajectory

@@ -1,0 +1,46 @@
+"""Does the recording contradict a motion? A test on statistics, for each pixel's surroundings."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
+from scsr_opt.motion.trajectory import Motion
+
+# A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
+# (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on
+# recordings of still scenes the largest value seen was 80, the median 3.5), and would take it more than half a pixel
+# elsewhere.
+_CONTRADICTION = 100.0
+_DRIFT = 0.5
+_WINDOW = 3.0
+
+
+def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
+    """Where the recording contradicts `motion`, see above."""
+    evidence, drifted = _evidence(
+        presmoothed(pictures, 1.0), jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(_WINDOW)
+    )
+    return np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
+
+
+@jax.jit
+def _evidence(
+    pictures: Stretches,
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+    window: Float[Array, ""],
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """Score test of each window's velocity: twice the gain in log-likelihood of the best one, and how far that goes."""
+    now = drift(pictures.picture, pictures.after, jnp.ones_like(pictures.after), velocity, acceleration)
+    noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
+    samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
+    information = (
+        smooth(now.spread[:1, :1] * now.slope[:, None] * now.slope[None], window) / noise[None, None] * samples
+    )
+    pull = -smooth(now.change[:1] * now.slope, window) / noise[None] * samples
+    a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
+    update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
+    longest = jnp.max(jnp.abs(pictures.after))
+    return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest

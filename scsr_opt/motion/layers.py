@@ -1,0 +1,190 @@
+"""Several surfaces, each with a motion of its own, one in front of another.
+
+At the edge of something that moves, a velocity for each pixel is not enough: it blends the two motions, and it cannot
+say which surface hides which. Here the scene is taken apart into layers. Each has a smooth motion over the whole
+picture (affine with acceleration, or the dense estimate where nothing simpler serves), and a label says which layer
+the key frame shows at a pixel. What a sensor pixel sees at another time then follows: of the layers whose point comes
+to lie there and that are seen in the key frame at that point, the one in front. If there is none, the surface was
+hidden in the key frame and the sample has to be left out.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy import ndimage
+
+from scsr_opt.motion.alignment import Stretches, drift, presmoothed
+from scsr_opt.motion.evidence import contradicted
+from scsr_opt.motion.parametric import parametric
+from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
+
+# Layers besides the background that are looked for, and the fewest sensor pixels one may have.
+_MOST = 3
+_FEWEST_PIXELS = 40
+# Presmoothing (sensor pixels) of the pictures whose agreement decides about labels, and of the mismatch itself: small,
+# so that edges stay where they are.
+_SHARPNESS = 0.6
+_SUPPORT = 1.2
+# A mismatch counts in units of the noise, at most this much: what is hidden at a time mismatches under any motion.
+_ENOUGH = 6.0
+# What a pixel gains by agreeing with its neighbourhood, in the same units, and the neighbourhood's radius.
+_TOGETHER = 1.4
+_NEIGHBOURHOOD = 1.5
+
+
+def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Motion:
+    """The scene as layers: `background`, further affine motions where that is contradicted, and the dense estimate
+    `everywhere` where these do not explain enough.
+
+    **Returns:** a motion with `layers`; `background` if nothing else was found.
+    """
+    motions = _find(pictures, background, everywhere)
+    noise = _noise(pictures, everywhere)
+    for _ in range(2):  # a layer that nearly no pixel wants goes, and its pixels choose again
+        label = _label(pictures, motions, noise)
+        sizes = np.bincount(label.ravel(), minlength=len(motions))
+        kept = [motion for motion, size in zip(motions, sizes, strict=True) if size >= _FEWEST_PIXELS]
+        if len(kept) == len(motions):
+            break
+        motions = kept
+    if len(motions) == 1:
+        return motions[0]
+    layers = Layers(
+        velocity=np.stack([motion.velocity for motion in motions]),
+        acceleration=np.stack([motion.acceleration for motion in motions]),
+        label=label.astype(np.int32),
+        depth=np.zeros(len(motions), np.int32),
+    )
+    layers = eqx.tree_at(lambda found: found.depth, layers, _depth(pictures, layers))
+    return Motion.of_layers(layers, everywhere.confidence)
+
+
+def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[Motion]:
+    """The candidates: the largest region that contradicts all so far is given a motion of its own, again and again."""
+    motions = [background]
+    left = contradicted(pictures, background)
+    for _ in range(_MOST):
+        regions, number = ndimage.label(ndimage.binary_opening(left))
+        if number == 0:
+            break
+        sizes = np.bincount(regions.ravel())[1:]
+        region = regions == 1 + sizes.argmax()
+        if sizes.max() < _FEWEST_PIXELS:
+            break
+        found = parametric(pictures, start=_commonest(everywhere, region), where=region)
+        explained = region & ~contradicted(pictures, found)
+        if explained.sum() > 0.3 * region.sum():
+            motions.append(found)
+            left = left & ~explained
+        left = left & ~region
+    unexplained = np.logical_and.reduce([contradicted(pictures, motion) for motion in motions])
+    if len(motions) == 1 or unexplained.mean() > 0.01:
+        motions.append(everywhere)
+    return motions
+
+
+def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
+    """The velocity that most pixels of a region are near to, by confidence: a mean would mix right and wrong ones."""
+    velocity, weight = motion.velocity[:, region].T, motion.confidence[region] + 1e-3
+    every = max(1, len(velocity) // 500)
+    some, weight = velocity[::every], weight[::every]
+    near = np.exp(-0.5 * ((some[:, None] - some[None]) ** 2).sum(-1) / 0.02**2) @ weight
+    best = some[int(near.argmax())]
+    return Motion.of_velocity(np.broadcast_to(best[:, None, None], motion.velocity.shape))
+
+
+def _noise(pictures: Stretches, motion: Motion) -> float:
+    """Typical variance of a picture along a good motion."""
+    sharp = presmoothed(pictures, _SHARPNESS)
+    now = drift(
+        sharp.picture,
+        sharp.after,
+        jnp.ones_like(sharp.after),
+        jnp.asarray(motion.velocity),
+        jnp.asarray(motion.acceleration),
+    )
+    return float(jnp.median(now.residual / jnp.maximum(now.seen, 1))) + 1e-5
+
+
+def _label(pictures: Stretches, motions: list[Motion], noise: float) -> Int[np.ndarray, "h w"]:
+    """The layer of each key-frame pixel: least mismatch, together with its neighbours (iterated conditional modes)."""
+    sharp = presmoothed(pictures, _SHARPNESS)
+    costs = []
+    for motion in motions:
+        sides = _mismatch(sharp, jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(noise))
+        sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
+        # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
+        costs.append(0.7 * sides.min(0) + 0.3 * sides.mean(0))
+    cost = np.stack(costs)
+    label = cost.argmin(0)
+    for _ in range(12):
+        around = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(len(cost))]
+        label = (cost - _TOGETHER * np.stack(around)).argmin(0)
+    return label
+
+
+@jax.jit
+def _mismatch(
+    pictures: Stretches, velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], noise: Float[Array, ""]
+) -> Float[Array, "2 h w"]:
+    """How far the pictures along a motion differ from their mean near the key frame, before it and after it: mean square
+    in units of `noise`, cut off. Moments within 20 frames count less, for there all motions agree."""
+    height, width = pictures.picture.shape[1:]
+    rows, columns = jnp.meshgrid(
+        jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
+    )
+
+    def along(picture: Array, tau: Array) -> tuple[Array, Array]:
+        row = rows + tau * velocity[0] + 0.5 * tau**2 * acceleration[0]
+        column = columns + tau * velocity[1] + 0.5 * tau**2 * acceleration[1]
+        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+        return bilinear(picture[None], row, column)[0], inside.astype(jnp.float32)
+
+    def average(sums: tuple[Array, Array], one: tuple[Array, Array]):
+        value, inside = along(*one)
+        weight = inside * jnp.exp(-0.5 * (one[1] / 6) ** 2)
+        return (sums[0] + weight * value, sums[1] + weight), None
+
+    nothing = jnp.zeros((height, width), jnp.float32)
+    (total, weight), _ = jax.lax.scan(average, (nothing, nothing), (pictures.picture, pictures.after))
+    reference = total / jnp.maximum(weight, 1e-6)
+
+    def compare(sums: tuple[Array, Array], one: tuple[Array, Array]):
+        value, inside = along(*one)
+        side = jnp.stack([one[1] < 0, one[1] >= 0]).astype(jnp.float32)[:, None, None]
+        side = side * jnp.minimum(jnp.abs(one[1]) / 20, 1) * inside[None]
+        difference = jnp.minimum((value - reference) ** 2 / noise, _ENOUGH)
+        return (sums[0] + side * difference[None], sums[1] + side), None
+
+    neither = jnp.zeros((2, height, width), jnp.float32)
+    (total, weight), _ = jax.lax.scan(compare, (neither, neither), (pictures.picture, pictures.after))
+    # Out of view: nothing is known, neither for nor against.
+    return jnp.where(weight > 0.5, total / jnp.maximum(weight, 1e-6), _ENOUGH / 2)
+
+
+def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
+    """How many other layers each is in front of: where two come to lie on one pixel, which of them does it show?"""
+    sharp = presmoothed(pictures, _SHARPNESS)
+    number = len(layers.depth)
+    near = (jnp.abs(sharp.after) <= 10).astype(jnp.float32)
+    shown, there = [], []
+    for k in range(number):
+        velocity, acceleration = jnp.asarray(layers.velocity[k]), jnp.asarray(layers.acceleration[k])
+        origin = inverse(velocity, acceleration, sharp.after)
+        key_picture = drift(sharp.picture, sharp.after, near, velocity, acceleration).mean
+        membership = jnp.asarray(layers.label == k, jnp.float32)
+        both = jnp.stack([key_picture, membership])
+        looked_up = np.asarray(jax.lax.map(lambda q, both=both: bilinear(both, q[0], q[1]), origin))
+        shown.append((looked_up[:, 0] - np.asarray(sharp.picture)) ** 2)
+        there.append(looked_up[:, 1] > 0.5)
+    wins = np.zeros(number, np.int32)
+    for front in range(number):
+        for back in range(number):
+            if front != back:
+                conflict = there[front] & there[back]
+                # Cut off, so that many pixels decide and not a few bright ones.
+                votes = np.clip(shown[back][conflict] - shown[front][conflict], -0.02, 0.02).sum()
+                wins[front] += int(votes > 0)
+    return wins

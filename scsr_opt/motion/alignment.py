@@ -21,10 +21,15 @@ from scsr_opt.motion.trajectory import bilinear
 
 
 class Stretches(NamedTuple):
-    """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame."""
+    """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame.
+
+    `firing` (h, w), if known: spikes per frame, mean over the recording. No picture shows changes that are faster than
+    a pixel fires.
+    """
 
     picture: Float[Array, "n h w"]
     after: Float[Array, " n"]
+    firing: Float[Array, "h w"] | None = None
 
 
 def stretches(
@@ -44,7 +49,8 @@ def stretches(
     edges = first + length * np.arange(number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
-    return Stretches(jnp.asarray(rates), jnp.asarray(middle, jnp.float32))
+    firing = np.count_nonzero(spikes, axis=0).astype(np.float32) / np.float32(frames)
+    return Stretches(jnp.asarray(rates), jnp.asarray(middle, jnp.float32), jnp.asarray(firing))
 
 
 # The share of the pixels that must have fired at the first moment that is used, and must still fire at the last one.

@@ -29,6 +29,9 @@ _SHARPNESS = 0.6
 _SUPPORT = 1.2
 # A mismatch counts in units of the noise, at most this much: what is hidden at a time mismatches under any motion.
 _ENOUGH = 6.0
+# What a motion has to gain over one found before it (the background is the first, the dense estimate the last): where all
+# fit, the simplest is taken.
+_PREFERENCE = 0.15
 # What a pixel gains by agreeing with its neighbourhood, in the same units, and the neighbourhood's radius.
 _TOGETHER = 1.4
 _NEIGHBOURHOOD = 1.5
@@ -117,7 +120,7 @@ def _label(pictures: Stretches, motions: list[Motion], noise: float) -> Int[np.n
         sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
         # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
         costs.append(0.7 * sides.min(0) + 0.3 * sides.mean(0))
-    cost = np.stack(costs)
+    cost = np.stack(costs) + _PREFERENCE * np.arange(len(costs))[:, None, None]
     label = cost.argmin(0)
     for _ in range(12):
         around = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(len(cost))]

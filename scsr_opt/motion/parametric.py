@@ -14,6 +14,10 @@ from scsr_opt.motion.trajectory import Motion
 # to everything and sharp.
 _SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 5))
 
+# In a region that was found by contradicting something, a good part may belong to other surfaces: the motion is that of
+# the share that agrees best, and the start is trusted enough to leave out the nearest times.
+_MINORITY = 0.2
+
 
 def parametric(
     pictures: Stretches,
@@ -40,7 +44,8 @@ def parametric(
         velocity = velocity.at[0].set(jnp.asarray(known.reshape(2, -1).mean(1), jnp.float32))
     acceleration = jnp.zeros_like(velocity)
     region = jnp.ones((height, width), jnp.float32) if where is None else jnp.asarray(where, jnp.float32)
-    for reach, sigma, steps in _SCHEDULE:
+    schedule, majority = (_SCHEDULE, 0.5) if where is None else (_SCHEDULE[1:], _MINORITY)
+    for reach, sigma, steps in schedule:
         part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
         with_acceleration = reach == np.inf and pictures.after.shape[0] >= 4
         velocity, acceleration = _fit(
@@ -51,6 +56,7 @@ def parametric(
             velocity,
             acceleration,
             jnp.asarray(steps),
+            jnp.asarray(majority),
             with_acceleration,
         )
     field = np.asarray(jnp.einsum("phw,pc->chw", basis, velocity))
@@ -67,6 +73,7 @@ def _fit(
     velocity: Float[Array, "p 2"],
     acceleration: Float[Array, "p 2"],
     steps: Int[Array, ""],
+    majority: Float[Array, ""],
     with_acceleration: bool,
 ) -> tuple[Float[Array, "p 2"], Float[Array, "p 2"]]:
     orders = 2 if with_acceleration else 1
@@ -83,7 +90,7 @@ def _fit(
         )
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
         mismatch = smooth(now.residual / jnp.maximum(now.seen, 1), jnp.asarray(1.5))
-        usual = jnp.nanmedian(jnp.where(region > 0, mismatch, jnp.nan))
+        usual = jnp.nanquantile(jnp.where(region > 0, mismatch, jnp.nan), majority)
         trust = region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
         # Regressors: each basis picture times each component of the slope, once for the velocity, once for the
         # acceleration.

@@ -131,7 +131,7 @@ def written_out(samples: Samples, path: Trajectory, scale: int, positions: int, 
     return rows.mean(0) @ blur, weight, np.asarray(samples.value)
 
 
-SCALES = [1, 2, 3, 4, 8]
+SCALES = [1, 2, 3, 8]
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -197,9 +197,9 @@ def test_value_and_gradient_are_those_of_the_sum_over_samples(scale, blurred):
     found, gradient = value_and_gradient(term, jnp.asarray(image))
     assert float(found) == pytest.approx(0.5 * weight @ off**2, rel=1e-12)
     np.testing.assert_allclose(gradient.reshape(-1), matrix.T @ (weight * off), atol=1e-12)
-    np.testing.assert_allclose(gradient, jax.jit(jax.grad(term.value))(jnp.asarray(image)), atol=1e-12)
+    np.testing.assert_allclose(gradient, eqx.filter_jit(jax.grad(term.value))(jnp.asarray(image)), atol=1e-12)
     normal = (matrix.T * weight) @ (matrix @ image.ravel())
-    np.testing.assert_allclose(jax.jit(term.normal)(jnp.asarray(image)).reshape(-1), normal, atol=1e-12)
+    np.testing.assert_allclose(eqx.filter_jit(term.normal)(jnp.asarray(image)).reshape(-1), normal, atol=1e-12)
 
 
 def test_robust_factors_multiply_the_weights():

@@ -1,0 +1,49 @@
+"""Recordings with known motion, made once."""
+
+from functools import cache
+
+import numpy as np
+from skimage import color, data
+
+from scsr_opt.camera.scenes import Affine, Box, MovingObject, Static, Translation, TurningDisc
+from scsr_opt.camera.simulator import Simulation, simulate
+from scsr_opt.motion.alignment import Stretches, stretches
+
+SCALE = 2
+KEY = 50
+SIZE = 200  # HR pixels
+
+
+def still(name: str, size: int = SIZE) -> np.ndarray:
+    picture = getattr(data, name)()
+    picture = color.rgb2gray(picture) if picture.ndim == 3 else picture / 255
+    top, left = ((n - size) // 2 for n in picture.shape)
+    return picture[top : top + size, left : left + size]
+
+
+@cache
+def recording(name: str) -> Simulation:
+    """`name`: static, affine, object, disc, or translate followed by the speed in sensor pixels per frame."""
+    behind = still("camera")
+    if name == "static":
+        scene = Static(behind)
+    elif name == "affine":
+        scene = Affine(behind, rotation=0.002, zoom=0.001, drift=(0.1, -0.2))
+    elif name == "object":
+        scene = MovingObject(still("gravel"), still("coffee", 90), (0.2, 0.36), shape=Box(42, 42))
+    elif name == "disc":
+        scene = TurningDisc(still("gravel"), still("grass", 160), 0.004, radius=70)
+    else:
+        speed = float(name.removeprefix("translate"))
+        scene = Translation(behind, (0.6 * speed * SCALE, -0.8 * speed * SCALE))
+    return simulate(scene, scale=SCALE, seed=1)
+
+
+@cache
+def pictures(name: str) -> Stretches:
+    return stretches(recording(name).spikes, key=KEY)
+
+
+def error(found: np.ndarray, name: str) -> np.ndarray:
+    """Length of the velocity's error, sensor pixels per frame."""
+    return np.hypot(*(found - recording(name).velocity(KEY)))

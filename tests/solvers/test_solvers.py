@@ -1,0 +1,323 @@
+"""The solvers against an independent float64 solution of one small problem, and the loop around them."""
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse
+
+from scsr_opt.camera.samples import Samples
+from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion, trajectory
+from scsr_opt.operators import accumulate, place
+from scsr_opt.priors import TotalVariation
+from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Outcome, Problem, Result, lipschitz_bound, run
+from scsr_opt.solvers import iterate as loop
+
+SOLVERS = {"ISTA": ISTA, "FISTA": FISTA, "jaxopt ISTA": JaxoptISTA, "jaxopt FISTA": JaxoptFISTA}
+SENSOR, SCALE, KEY = (12, 16), 2, 12
+SHAPE = (24, 32)
+VELOCITY = (0.13, -0.21)
+STRENGTH = 0.02
+
+
+@pytest.fixture(autouse=True, scope="module")
+def quick_compilation():
+    """A picture of 768 pixels: nearly all the time here is compilation."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+class Case(NamedTuple):
+    """½ Σ ω (A x − y)² + λ TV(x), with its dense matrix in float64, and the same as a `Problem`."""
+
+    matrix: np.ndarray
+    weight: np.ndarray
+    value: np.ndarray
+    problem: Problem
+    start: jax.Array
+
+    def objective(self, image: np.ndarray) -> float:
+        off = self.matrix @ np.asarray(image, float).ravel() - self.value
+        return 0.5 * float(self.weight @ off**2) + STRENGTH * total_variation(np.asarray(image, float))
+
+
+def total_variation(image: np.ndarray) -> float:
+    down = np.diff(image, axis=0, append=image[-1:])
+    right = np.diff(image, axis=1, append=image[:, -1:])
+    return float(np.hypot(down, right).sum())
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    """Blocks of four pixels, seen by 2,000 noisy samples at as many sub-pixel shifts."""
+    rng = np.random.default_rng(0)
+    number = 2000
+    time = rng.uniform(0, 2 * KEY - 1, number).astype(np.float32)
+    row, column = (rng.integers(0, size, number) for size in SENSOR)
+    truth = np.kron(rng.uniform(0.1, 1, (SHAPE[0] // 4, SHAPE[1] // 4)), np.ones((4, 4)))
+    weight = rng.uniform(0.5, 1.5, number) * math.prod(SENSOR) / number
+    matrix = np.zeros((number, *SHAPE))
+    for j in range(number):
+        after = float(time[j]) - KEY
+        y, x = SCALE * (row[j] - VELOCITY[0] * after), SCALE * (column[j] - VELOCITY[1] * after)
+        if not (0 <= y <= SHAPE[0] - SCALE and 0 <= x <= SHAPE[1] - SCALE):
+            weight[j] = 0
+            continue
+        top, left = math.floor(y), math.floor(x)
+        for i, k in itertools.product((0, 1), (0, 1)):
+            share = (y - top if i else 1 - y + top) * (x - left if k else 1 - x + left)
+            matrix[j, top + i : top + i + SCALE, left + k : left + k + SCALE] += share / SCALE**2
+    matrix = matrix.reshape(number, -1)
+    value = (matrix @ truth.ravel() + 0.05 * rng.normal(size=number)).astype(np.float32)
+    weight = weight.astype(np.float32)
+    samples = Samples(row.astype(np.int32), column.astype(np.int32), time, time, value, weight)
+    velocity = np.broadcast_to(np.array(VELOCITY, np.float32)[:, None, None], (2, *SENSOR))
+    path = trajectory(Motion.of_velocity(velocity), key=KEY, start=0, stop=2 * KEY)
+    term = accumulate(place(jax.tree.map(jnp.asarray, samples), path, scale=SCALE, positions=1, shape=SHAPE))
+    problem = Problem(term, TotalVariation(), jnp.float32(STRENGTH))
+    return Case(matrix, weight.astype(float), value.astype(float), problem, jnp.full(SHAPE, 0.5))
+
+
+@pytest.fixture(scope="module")
+def minimum(case: Case) -> np.ndarray:
+    """By ADMM on z = ∇x, with a factorised dense matrix: shares nothing with what is tested."""
+    height, width = SHAPE
+    steps = [np.eye(n, k=1) - np.diag(np.r_[np.ones(n - 1), 0.0]) for n in SHAPE]
+    down = scipy.sparse.csr_array(np.kron(steps[0], np.eye(width)))
+    right = scipy.sparse.csr_array(np.kron(np.eye(height), steps[1]))
+    rho = 0.1
+    normal = (case.matrix.T * case.weight) @ case.matrix
+    factor = scipy.linalg.cho_factor(normal + rho * (down.T @ down + right.T @ right).toarray())
+    constant = case.matrix.T @ (case.weight * case.value)
+    z, u = np.zeros((2, 2, height * width))
+    x, before = np.zeros(height * width), np.ones(height * width)
+    for it in range(5000):
+        x = scipy.linalg.cho_solve(factor, constant + rho * (down.T @ (z[0] - u[0]) + right.T @ (z[1] - u[1])))
+        slope = np.stack([down @ x, right @ x])
+        length = np.maximum(np.hypot(*(slope + u)), 1e-30)
+        z = (slope + u) * np.maximum(0, 1 - STRENGTH / rho / length)
+        u = u + slope - z
+        if np.abs(x - before).max() < 1e-10 and np.abs(slope - z).max() < 1e-9:
+            break
+        if it % 500 == 499: print(it, np.abs(x - before).max(), np.abs(slope - z).max(), len(x))
+        before = x
+    else:
+        pytest.fail("the reference solution did not converge")
+    return x.reshape(SHAPE)
+
+
+@pytest.fixture(scope="module")
+def solved(case: Case) -> dict[str, Outcome]:
+    """Each solver run for 200 iterations, whatever the residual."""
+    return {name: run(make(iterations=200, tolerance=0), case.problem, case.start) for name, make in SOLVERS.items()}
+
+
+# How far above the minimum each ends, relative. ISTA and FISTA keep the dual: the rounding of float32 is what is left
+# (1e-7 · Σ ω Y² ≈ 60, over an objective of about 1.5). jaxopt's proximal step has 100 dual steps from nothing, whose
+# error, O(λβ/100)², does not go away with more iterations.
+CLOSE = {"ISTA": 2e-5, "FISTA": 2e-5, "jaxopt ISTA": 5e-4, "jaxopt FISTA": 5e-4}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_all_solvers_find_the_same_minimum(name, case, minimum, solved):
+    least = case.objective(minimum)
+    above = case.objective(solved[name].image) / least - 1
+    assert -1e-9 <= above <= CLOSE[name]
+    objectives = np.array([stage.objective for stage in solved[name].stages])
+    within = int(np.argmax(objectives / least - 1 < 1e-3)) + 1
+    print(f"{name}: {above:.1e} above the minimum after 200 iterations, within 0.1 % after {within}")
+    assert within <= 40
+
+
+def test_the_problem_itself_is_the_written_out_one(case, minimum):
+    value = float(case.problem.data.value(jnp.asarray(minimum, jnp.float32))) + STRENGTH * total_variation(minimum)
+    assert value == pytest.approx(case.objective(minimum), rel=2e-5)
+
+
+@pytest.mark.parametrize("name", ["ISTA", "jaxopt ISTA"])
+def test_the_objective_of_ista_never_rises(name, case, solved):
+    """But for the rounding of a float32 sum: a few 1e-7 of Σ ω Y²."""
+    objectives = np.array([stage.objective for stage in solved[name].stages])
+    rounding = 4e-7 * float(case.problem.data.energy)
+    assert np.diff(objectives).max() <= rounding
+    assert np.all(np.diff(objectives[:10]) < 0)
+
+
+def one_step_further(problem: Problem, image: np.ndarray) -> np.ndarray:
+    """prox(X − β∇f(X)) with the proximal step solved to the end."""
+
+    @eqx.filter_jit
+    def further(problem: Problem, image: jax.Array) -> jax.Array:
+        step = 1 / lipschitz_bound(problem.data)
+        prior = TotalVariation(iterations=1000)
+        ahead = image - step * problem.data.gradient(image)
+        return prior.prox(ahead, step * problem.strength, prior.initial_state(image))[0]
+
+    return np.asarray(further(problem, jnp.asarray(image)))
+
+
+def change(after: np.ndarray, before: np.ndarray) -> float:
+    return float(np.linalg.norm(after - before) / np.linalg.norm(before))
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_the_solution_is_a_fixed_point(name, case, solved):
+    image = solved[name].image
+    assert change(one_step_further(case.problem, image), image) < (5e-5 if "jaxopt" not in name else 5e-4)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_tolerance_met_means_what_it_says(name, case):
+    outcome = run(SOLVERS[name](tolerance=1e-3), case.problem, case.start)
+    assert outcome.result is Result.converged and outcome.result.good
+    residuals = [stage.residual for stage in outcome.stages]
+    assert len(residuals) < 100 and residuals[-1] <= 1e-3 < min(residuals[:-1])
+    # A step from X changes no more than the step that led to X, up to what their proximal steps are inexact by.
+    assert change(one_step_further(case.problem, outcome.image), outcome.image) <= 1.3e-3
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_records_are_those_of_the_pictures(name, case):
+    outcome = run(SOLVERS[name](iterations=6, tolerance=0), case.problem, case.start, keep_images=True)
+    plain = run(SOLVERS[name](iterations=6, tolerance=0), case.problem, case.start)
+    assert [stage.number for stage in outcome.stages] == [1, 2, 3, 4, 5, 6]
+    start = np.asarray(case.start)
+    for stage, without in zip(outcome.stages, plain.stages, strict=True):
+        assert stage.image is not None and stage.gradient_step is not None and without.image is None
+        assert stage.objective == stage.data + stage.prior
+        assert stage.prior == pytest.approx(STRENGTH * total_variation(np.asarray(stage.image, float)), rel=1e-5)
+        assert stage.objective == pytest.approx(case.objective(stage.image), rel=4e-5)
+        assert stage.objective == pytest.approx(without.objective, rel=1e-6)
+        assert stage.step_size == pytest.approx(1 / float(lipschitz_bound(case.problem.data)), rel=1e-6)
+        assert 0 < stage.seconds
+    first = outcome.stages[0]
+    assert first.image is not None and first.gradient_step is not None
+    step = start - first.step_size * np.asarray(case.problem.data.gradient(case.start))
+    np.testing.assert_allclose(first.gradient_step, step, atol=1e-6)
+    assert first.residual == pytest.approx(
+        float(np.linalg.norm(first.image - start) / np.linalg.norm(first.image)), 1e-4
+    )
+    np.testing.assert_array_equal(outcome.stages[-1].image, outcome.image)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_going_on_from_a_state_is_the_same_trajectory_bit_for_bit(name, case, solved):
+    first = run(SOLVERS[name](iterations=10, tolerance=0), case.problem, case.start)
+    assert first.result is Result.iterations_exhausted and first.result.good
+    second = run(SOLVERS[name](iterations=10, tolerance=0), case.problem, case.start, state=first.state)
+    both = [stage.objective for stage in first.stages + second.stages]
+    assert both == [stage.objective for stage in solved[name].stages[:20]]
+    whole = run(SOLVERS[name](iterations=20, tolerance=0), case.problem, case.start)
+    np.testing.assert_array_equal(second.image, whole.image)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_value_that_is_not_finite_ends_the_run(name, case):
+    term = eqx.tree_at(lambda t: t.target, case.problem.data, case.problem.data.target.at[3, 4].set(jnp.nan))
+    outcome = run(SOLVERS[name](), eqx.tree_at(lambda p: p.data, case.problem, term), case.start)
+    assert outcome.result is Result.non_finite and not outcome.result.good
+    assert len(outcome.stages) == 1 and not math.isfinite(outcome.stages[0].objective)
+    np.testing.assert_array_equal(outcome.image, case.start)
+
+
+def test_the_last_finite_picture_is_returned_when_numbers_overflow_later(case):
+    """A step size far too long: the picture grows without bound, until it is not finite."""
+    solver = ISTA(iterations=100, tolerance=0)
+    state = solver.init(case.problem, case.start)
+    outcome = run(solver, case.problem, case.start, state=state._replace(step_size=jnp.float32(1e3)))
+    assert outcome.result is Result.non_finite and 1 < len(outcome.stages) < 100
+    assert np.isfinite(outcome.image).all()
+    assert all(math.isfinite(stage.objective) for stage in outcome.stages[:-1])
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_without_a_prior_it_is_least_squares(name, case):
+    problem = eqx.tree_at(lambda p: p.strength, case.problem, jnp.float32(0))
+    outcome = run(SOLVERS[name](iterations=40, tolerance=0), problem, case.start)
+    last = outcome.stages[-1]
+    assert last.prior == 0 and last.objective == last.data
+    off = case.matrix @ np.asarray(outcome.image, float).ravel() - case.value
+    assert last.data == pytest.approx(0.5 * case.weight @ off**2, rel=1e-4)
+    slope = case.matrix.T @ (case.weight * off)
+    at_start = case.matrix.T @ (case.weight * (case.matrix @ np.full(math.prod(SHAPE), 0.5) - case.value))
+    assert np.linalg.norm(slope) < 0.02 * np.linalg.norm(at_start)
+
+
+class Watcher:
+    def __init__(self):
+        self.calls: list[Any] = []
+
+    def start(self, total: int | None, what: str) -> None:
+        self.calls.append(("start", total))
+
+    def advance(self, done: int) -> None:
+        self.calls.append(done)
+
+    def finish(self) -> None:
+        self.calls.append("finish")
+
+
+def test_progress_is_told_by_chunks(case):
+    watcher = Watcher()
+    run(FISTA(iterations=50, tolerance=0), case.problem, case.start, progress=watcher)
+    assert watcher.calls == [("start", 50), 20, 20, 10, "finish"]
+
+
+def test_progress_is_finished_when_the_work_fails(case):
+    watcher = Watcher()
+    with pytest.raises(Exception, match="shape"):
+        run(FISTA(), case.problem, jnp.zeros((3, 3)), progress=watcher)
+    assert watcher.calls == [] or watcher.calls[-1] == "finish"
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_second_problem_of_the_same_shape_compiles_nothing(name, case, solved, monkeypatch):
+    traced = []
+    original = SOLVERS[name].step
+
+    def counted(self, problem, state):
+        traced.append(name)
+        return original(self, problem, state)
+
+    monkeypatch.setattr(SOLVERS[name], "step", counted)
+    other = eqx.tree_at(
+        lambda p: (p.strength, p.data.target), case.problem, (jnp.float32(0.01), case.problem.data.target * 2)
+    )
+    run(SOLVERS[name](iterations=30, tolerance=1e-2), other, case.start + 0.1)
+    assert traced == []  # the runs of `solved` did
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [({"iterations": 0}, "0 iterations"), ({"tolerance": -1}, "tolerance -1"), ({"tolerance": math.nan}, "nan")],
+)
+def test_limits_that_make_no_sense(name, wrong, message):
+    with pytest.raises(InputError, match=message):
+        SOLVERS[name](**wrong)
+
+
+@pytest.mark.parametrize("name", ["jaxopt ISTA", "jaxopt FISTA"])
+def test_inner_iterations_that_make_no_sense(name):
+    with pytest.raises(InputError, match="inner_iterations=0"):
+        SOLVERS[name](inner_iterations=0)
+
+
+def test_jaxopt_uses_more_inner_iterations_where_the_prior_has_few():
+    prior = TotalVariation(isotropic=False, iterations=3)
+    patient = JaxoptFISTA(inner_iterations=70)._patient(prior)
+    assert patient == TotalVariation(isotropic=False, iterations=70)
+    assert JaxoptFISTA(inner_iterations=2)._patient(prior) is prior
+
+
+def test_the_loop_is_shared():
+    assert all(issubclass(solver, loop.Solver) for solver in SOLVERS.values())

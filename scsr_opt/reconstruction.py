@@ -59,7 +59,7 @@ def reconstruct(
     - `spikes`: (T, h, w) of 0 and 1, or a `Recording`.
     - `scale`: s ≥ 1, any integer; 1 denoises and sharpens only.
     - `key`: frame whose picture is wanted, 0 … T−1; the middle one if not given.
-    - `frames`: how many frames around the key frame are used; fewer at the ends of the recording.
+    - `frames`: how many frames around the key frame are used (all, if the recording has fewer).
     - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording, or 0.6, if not given.
     - `velocity`: known motion at the key frame, (2, h, w) or two numbers, sensor pixels per frame ([0] down, [1]
       right); or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by `Automatic` if not given.
@@ -80,8 +80,7 @@ def reconstruct(
     height, width = recording.height, recording.width
     scale = _whole(scale, "scale", 1)
     key = recording.frames // 2 if key is None else _whole(key, "key", 0, recording.frames - 1)
-    half = _whole(frames, "frames", 1) // 2
-    start, stop = max(0, key - half), min(recording.frames, key + half + 1)
+    start, stop = recording.around(key, _whole(frames, "frames", 1))
     frames, key = stop - start, key - start
     rate = recording.white_rate if white_rate is None else white_rate
     white_rate = _number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")

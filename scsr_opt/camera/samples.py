@@ -44,12 +44,12 @@ class Samples(eqx.Module):
     def padded(self) -> "Samples":
         """The same samples, padded with weight 0 to one of few lengths.
 
-        Code that was compiled for one number of samples then serves for others. Lengths are m·2^e with 8 ≤ m < 16, so
-        that at most an eighth is padding; fewer than 16 samples are left as they are, and none become one of weight 0.
+        Code that was compiled for one number of samples then serves for others. Lengths are m·2^e with 4 ≤ m < 8, so
+        that at most a fifth is padding, and at least 1024.
         """
         n = self.row.size
-        step = 1 << max(0, n.bit_length() - 4)
-        extra = -n % step if n else 1
+        step = 1 << max(0, n.bit_length() - 3)
+        extra = max(-n % step, 1024 - n)
 
         def pad(values: Shaped[np.ndarray | Array, " n"]) -> Shaped[np.ndarray, " m"]:
             return np.pad(values, (0, extra))

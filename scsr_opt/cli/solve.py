@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import scsr_opt.camera
 
 Prior = Literal["tv", "tv-anisotropic"]
-Solver = Literal["fista", "ista"]
+Solver = Literal["fista", "ista", "jaxopt-fista", "jaxopt-ista"]
 
 _SOLVING = Group("Solving", sort_key=1)
 FIGURE_ENDINGS = (".png", ".pdf", ".svg")
@@ -33,7 +33,7 @@ def solve(
     ],
     scale: Annotated[int, Parameter(help="Pixels of the picture per sensor pixel, along each axis: 1, 2, 3, 4, …")] = 4,
     key: Annotated[int | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
-    frames: Annotated[int | None, Parameter(help="Use only so many frames around the key frame. Default: all.")] = None,
+    frames: Annotated[int | None, Parameter(help="Use only so many frames around the key frame. Default: 101.")] = None,
     motion: Annotated[
         str,
         Parameter(
@@ -48,7 +48,7 @@ def solve(
         float | None, Parameter(group=_SOLVING, help="Of the prior (lambda). Default: set from the recording's noise.")
     ] = None,
     solver: Annotated[
-        Solver, Parameter(group=_SOLVING, help="Both find the same picture; fista needs far fewer iterations.")
+        Solver, Parameter(group=_SOLVING, help="All find the same picture; fista is the fastest, ista plain Eq. 5.")
     ] = "fista",
     iterations: Annotated[
         int | None, Parameter(group=_SOLVING, help="Iterations at most. Default: the solver's own.")
@@ -81,19 +81,18 @@ def solve(
     started = time.perf_counter()
     recording = (reading or Reading()).open(file)
     moment = key_frame(recording, key)
-    start, stop = recording.around(moment, frames)
     choices = _choices(recording, motion, prior, strength, solver, iterations)
 
     from scsr_opt import reconstruct
+    from scsr_opt.reconstruction import FRAMES
     from scsr_opt.report.summary import Report
 
     read = time.perf_counter()
     solution = reconstruct(
-        recording.window(start, stop),
+        recording,
         scale=scale,
-        key=moment - start,
-        white_rate=recording.white_rate,
-        bad_pixels=recording.bad_pixels,
+        key=moment,
+        frames=FRAMES if frames is None else frames,
         progress=progress(quiet),
         **choices,
     )
@@ -126,8 +125,8 @@ def _choices(
     iterations: int | None,
 ) -> dict[str, Any]:
     """What the options ask for, as arguments of `reconstruct`; what was not asked for is left to its defaults."""
+    from scsr_opt import solvers
     from scsr_opt.priors.total_variation import TotalVariation
-    from scsr_opt.solvers import proximal_gradient
 
     choices: dict[str, Any] = {}
     velocity = _velocity(recording, motion)
@@ -140,7 +139,12 @@ def _choices(
     if prior == "tv-anisotropic":
         choices["prior"] = TotalVariation(isotropic=False)
     if solver != "fista" or iterations is not None:
-        method = {"fista": proximal_gradient.FISTA, "ista": proximal_gradient.ISTA}[solver]
+        method = {
+            "fista": solvers.FISTA,
+            "ista": solvers.ISTA,
+            "jaxopt-fista": solvers.JaxoptFISTA,
+            "jaxopt-ista": solvers.JaxoptISTA,
+        }[solver]
         choices["solver"] = method() if iterations is None else method(iterations=iterations)
     return choices
 

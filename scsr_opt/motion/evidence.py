@@ -15,9 +15,10 @@ from scsr_opt.motion.trajectory import Motion
 _CONTRADICTION = 100.0
 _DRIFT = 0.5
 _WINDOW = 3.0
-# Between two spikes a pixel tells nothing of when its light came: what passes it within an interval looks as if it stood
-# still. Where a motion goes further than this between spikes (sensor pixels), the pixel is not heard against it. (Of
-# `skimage.data.camera` at 0.3 px per frame a tenth contradicted the true velocity, without this; with it none did.)
+# Between two spikes a pixel tells nothing of when its light came: what passes it within an interval looks as if it
+# stood still. Where a motion goes further than this between spikes (sensor pixels), the pixel is not heard against it.
+# (Of `skimage.data.camera` at 0.3 px per frame a tenth contradicted the true velocity, without this; with it none
+# did.)
 _SMEAR = 2.0
 
 

@@ -29,8 +29,8 @@ _SHARPNESS = 0.6
 _SUPPORT = 1.2
 # A mismatch counts in units of the noise, at most this much: what is hidden at a time mismatches under any motion.
 _ENOUGH = 6.0
-# What a motion has to gain over one found before it (the background is the first, the dense estimate the last): where all
-# fit, the simplest is taken.
+# What a motion has to gain over one found before it (the background is the first, the dense estimate the last): where
+# all fit, the simplest is taken.
 _PREFERENCE = 0.15
 # What a pixel gains by agreeing with its neighbourhood, in the same units, and the neighbourhood's radius.
 _TOGETHER = 1.4
@@ -132,8 +132,10 @@ def _label(pictures: Stretches, motions: list[Motion], noise: float) -> Int[np.n
 def _mismatch(
     pictures: Stretches, velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], noise: Float[Array, ""]
 ) -> Float[Array, "2 h w"]:
-    """How far the pictures along a motion differ from their mean near the key frame, before it and after it: mean square
-    in units of `noise`, cut off. Moments within 20 frames count less, for there all motions agree."""
+    """How far the pictures along a motion differ from their mean near the key frame, before it and after it.
+
+    Mean square in units of `noise`, cut off. Moments within 20 frames count less, for there all motions agree.
+    """
     height, width = pictures.picture.shape[1:]
     rows, columns = jnp.meshgrid(
         jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"

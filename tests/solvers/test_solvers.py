@@ -94,21 +94,21 @@ def minimum(case: Case) -> np.ndarray:
     steps = [np.eye(n, k=1) - np.diag(np.r_[np.ones(n - 1), 0.0]) for n in SHAPE]
     down = scipy.sparse.csr_array(np.kron(steps[0], np.eye(width)))
     right = scipy.sparse.csr_array(np.kron(np.eye(height), steps[1]))
-    rho = 0.1
+    rho = 2.0
     normal = (case.matrix.T * case.weight) @ case.matrix
     factor = scipy.linalg.cho_factor(normal + rho * (down.T @ down + right.T @ right).toarray())
     constant = case.matrix.T @ (case.weight * case.value)
     z, u = np.zeros((2, 2, height * width))
     x, before = np.zeros(height * width), np.ones(height * width)
-    for it in range(5000):
+    for _ in range(5000):
         x = scipy.linalg.cho_solve(factor, constant + rho * (down.T @ (z[0] - u[0]) + right.T @ (z[1] - u[1])))
         slope = np.stack([down @ x, right @ x])
         length = np.maximum(np.hypot(*(slope + u)), 1e-30)
         z = (slope + u) * np.maximum(0, 1 - STRENGTH / rho / length)
         u = u + slope - z
-        if np.abs(x - before).max() < 1e-10 and np.abs(slope - z).max() < 1e-9:
+        # Ten times stricter changes the objective by 5e-9.
+        if np.abs(x - before).max() < 1e-7 and np.abs(slope - z).max() < 1e-7:
             break
-        if it % 500 == 499: print(it, np.abs(x - before).max(), np.abs(slope - z).max(), len(x))
         before = x
     else:
         pytest.fail("the reference solution did not converge")
@@ -124,14 +124,14 @@ def solved(case: Case) -> dict[str, Outcome]:
 # How far above the minimum each ends, relative. ISTA and FISTA keep the dual: the rounding of float32 is what is left
 # (1e-7 · Σ ω Y² ≈ 60, over an objective of about 1.5). jaxopt's proximal step has 100 dual steps from nothing, whose
 # error, O(λβ/100)², does not go away with more iterations.
-CLOSE = {"ISTA": 2e-5, "FISTA": 2e-5, "jaxopt ISTA": 5e-4, "jaxopt FISTA": 5e-4}
+CLOSE = {"ISTA": 2e-5, "FISTA": 2e-5, "jaxopt ISTA": 3e-4, "jaxopt FISTA": 3e-4}
 
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_all_solvers_find_the_same_minimum(name, case, minimum, solved):
     least = case.objective(minimum)
     above = case.objective(solved[name].image) / least - 1
-    assert -1e-9 <= above <= CLOSE[name]
+    assert -1e-7 <= above <= CLOSE[name]
     objectives = np.array([stage.objective for stage in solved[name].stages])
     within = int(np.argmax(objectives / least - 1 < 1e-3)) + 1
     print(f"{name}: {above:.1e} above the minimum after 200 iterations, within 0.1 % after {within}")
@@ -273,10 +273,14 @@ def test_progress_is_told_by_chunks(case):
 
 
 def test_progress_is_finished_when_the_work_fails(case):
-    watcher = Watcher()
-    with pytest.raises(Exception, match="shape"):
-        run(FISTA(), case.problem, jnp.zeros((3, 3)), progress=watcher)
-    assert watcher.calls == [] or watcher.calls[-1] == "finish"
+    class Stopped(Watcher):
+        def advance(self, done: int) -> None:
+            raise KeyboardInterrupt
+
+    watcher = Stopped()
+    with pytest.raises(KeyboardInterrupt):
+        run(FISTA(tolerance=0), case.problem, case.start, progress=watcher)
+    assert watcher.calls == [("start", 100), "finish"]
 
 
 @pytest.mark.parametrize("name", SOLVERS)

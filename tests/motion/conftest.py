@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 from skimage import color, data
 
 from scsr_opt.camera.scenes import Affine, Box, MovingObject, Static, Translation, TurningDisc
@@ -22,7 +23,7 @@ def still(name: str, size: int = SIZE) -> np.ndarray:
 
 
 @cache
-def recording(name: str) -> Simulation:
+def _recording(name: str) -> Simulation:
     """`name`: static, affine, object, disc, or translate followed by the speed in sensor pixels per frame."""
     behind = still("camera")
     if name == "static":
@@ -30,7 +31,7 @@ def recording(name: str) -> Simulation:
     elif name == "affine":
         scene = Affine(behind, rotation=0.002, zoom=0.001, drift=(0.1, -0.2))
     elif name == "object":
-        scene = MovingObject(still("gravel"), still("coffee", 90), (0.2, 0.36), shape=Box(42, 42))
+        scene = MovingObject(still("gravel"), still("coffee", 90), (0.2, 0.36), shape=Box(42.0, 42.0))
     elif name == "disc":
         scene = TurningDisc(still("gravel"), still("grass", 160), 0.004, radius=70)
     else:
@@ -40,10 +41,37 @@ def recording(name: str) -> Simulation:
 
 
 @cache
-def pictures(name: str) -> Stretches:
-    return stretches(recording(name).spikes, key=KEY)
+def _pictures(name: str) -> Stretches:
+    return _central(stretches(_recording(name).spikes, key=KEY), 17)
 
 
-def error(found: np.ndarray, name: str) -> np.ndarray:
+def _central(some: Stretches, number: int) -> Stretches:
+    """The `number` pictures in the middle: with always the same number, everything is compiled only once."""
+    first = (some.after.shape[0] - number) // 2
+    part = slice(first, first + number)
+    return some._replace(picture=some.picture[part], after=some.after[part])
+
+
+def _error(found: np.ndarray, name: str) -> np.ndarray:
     """Length of the velocity's error, sensor pixels per frame."""
-    return np.hypot(*(found - recording(name).velocity(KEY)))
+    return np.hypot(*(found - _recording(name).velocity(KEY)))
+
+
+@pytest.fixture
+def recording():
+    return _recording
+
+
+@pytest.fixture
+def pictures():
+    return _pictures
+
+
+@pytest.fixture
+def error():
+    return _error
+
+
+@pytest.fixture
+def central():
+    return _central

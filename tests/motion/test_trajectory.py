@@ -1,0 +1,105 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from scsr_opt.motion import Motion, trajectory
+
+H, W, KEY, FRAMES = 40, 60, 50, 101
+ROWS, COLUMNS = np.mgrid[0:H, 0:W]
+
+
+def at(path, time: float) -> np.ndarray:
+    row, column, _ = path.at(
+        jnp.asarray(ROWS.ravel(), jnp.int32),
+        jnp.asarray(COLUMNS.ravel(), jnp.int32),
+        jnp.full(H * W, time, jnp.float32),
+    )
+    return np.stack([row, column]).reshape(2, H, W)
+
+
+def still_inside(position: np.ndarray, margin: float = 1.0) -> np.ndarray:
+    row, column = position
+    return (row >= margin) & (column >= margin) & (row <= H - 1 - margin) & (column <= W - 1 - margin)
+
+
+@pytest.fixture(scope="module")
+def smooth() -> Motion:
+    noise = gaussian_filter(np.random.default_rng(0).standard_normal((4, H, W)), 8, axes=(1, 2), mode="reflect")
+    noise /= noise.std((1, 2), keepdims=True)
+    velocity = 0.02 * noise[:2] + np.array([0.1, -0.15])[:, None, None]
+    return Motion(velocity.astype(np.float32), (2e-4 * noise[2:]).astype(np.float32), np.ones((H, W), np.float32))
+
+
+@pytest.mark.parametrize("time", [2.0, 30.0, 50.0, 66.0, 98.0])
+def test_a_key_frame_point_moved_on_comes_to_lie_on_its_pixel(smooth, time):
+    position = at(trajectory(smooth, key=KEY, start=0, stop=FRAMES), time - time % 4)
+    tau = time - time % 4 - KEY
+    field = np.concatenate([smooth.velocity, smooth.acceleration])
+    v = np.stack([map_coordinates(part, position, order=1, mode="nearest") for part in field])
+    arrived = position + v[:2] * tau + v[2:] * tau**2 / 2
+    # 1e-3 px is far below what a picture shows at ×8.
+    assert np.abs(arrived - [ROWS, COLUMNS])[:, still_inside(position)].max() < 1e-3
+
+
+def test_at_the_key_frame_every_pixel_sees_itself(smooth):
+    np.testing.assert_allclose(at(trajectory(smooth, key=48, start=0, stop=FRAMES), 48.0), [ROWS, COLUMNS], atol=1e-5)
+
+
+def test_nothing_moves_needs_one_moment():
+    path = trajectory(Motion.none(H, W), key=KEY, start=0, stop=FRAMES)
+    assert path.position.shape == (1, 2, H, W)
+    for time in (0.0, 13.7, 100.0):
+        np.testing.assert_array_equal(at(path, time), [ROWS, COLUMNS])
+
+
+def test_acceleration_counts_by_half_the_square_of_the_time():
+    a = np.zeros((2, H, W), np.float32)
+    a[1] = 2e-3
+    motion = Motion(np.zeros((2, H, W), np.float32), a, np.ones((H, W), np.float32))
+    position = at(trajectory(motion, key=48, start=0, stop=FRAMES), 88.0)
+    np.testing.assert_allclose(position[1], COLUMNS - 2e-3 * 40**2 / 2, atol=1e-4)
+    np.testing.assert_allclose(position[0], ROWS, atol=1e-5)
+
+
+def test_between_moments_the_path_is_straight_to_within_its_curvature():
+    a = 4e-3
+    acceleration = np.zeros((2, H, W), np.float32)
+    acceleration[0] = a
+    motion = Motion(np.full((2, H, W), 0.1, np.float32), acceleration, np.ones((H, W), np.float32))
+    path = trajectory(motion, key=KEY, start=0, stop=FRAMES)
+    for time in np.linspace(40, 60, 21):
+        tau = time - KEY
+        assert np.abs(at(path, time)[0] - (ROWS - 0.1 * tau - a * tau**2 / 2)).max() < a * 4**2 / 8 + 1e-4
+
+
+def test_the_inverse_of_a_rotation():
+    # Velocity L q about the middle, and the acceleration L² q that goes with it: the path of q is exp(Lτ) q to third
+    # order in τ, and what is seen at p was at exp(−Lτ) p.
+    gradient = np.array([[1e-3, 3e-3], [-3e-3, 1e-3]])
+    middle = np.array([(H - 1) / 2, (W - 1) / 2])[:, None, None]
+    from_middle = np.stack([ROWS, COLUMNS]) - middle
+    velocity = np.einsum("ij,jhw->ihw", gradient, from_middle)
+    acceleration = np.einsum("ij,jhw->ihw", gradient @ gradient, from_middle)
+    motion = Motion(velocity.astype(np.float32), acceleration.astype(np.float32), np.ones((H, W), np.float32))
+    path = trajectory(motion, key=48, start=0, stop=FRAMES)
+    for time in (8.0, 72.0, 96.0):
+        tau = time - 48
+        exact = np.einsum("ij,jhw->ihw", expm(-gradient * tau), from_middle) + middle
+        inside = still_inside(exact)
+        third_order = np.linalg.norm(gradient * tau, 2) ** 3 / 6 * np.hypot(H, W) / 2
+        assert np.abs(at(path, time) - exact)[:, inside].max() < third_order + 1e-3
+
+
+def test_straight_affine_motion_against_its_closed_form():
+    gradient = np.array([[2e-3, 1e-3], [-1e-3, -2e-3]])
+    drift = np.array([0.05, -0.1])
+    velocity = np.einsum("ij,jhw->ihw", gradient, np.stack([ROWS, COLUMNS])) + drift[:, None, None]
+    path = trajectory(Motion.of_velocity(velocity), key=48, start=0, stop=FRAMES)
+    for time in (0.0, 28.0, 100.0):
+        tau = time - 48
+        pixels = np.stack([ROWS, COLUMNS]) - (drift * tau)[:, None, None]
+        exact = np.einsum("ij,jhw->ihw", np.linalg.inv(np.eye(2) + gradient * tau), pixels)  # p = q + (L q + d) τ
+        inside = still_inside(exact)
+        assert np.abs(at(path, time) - exact)[:, inside].max() < 1e-3

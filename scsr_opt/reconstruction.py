@@ -119,20 +119,26 @@ def reconstruct(
     solver = FISTA() if solver is None else solver
     image = _first_picture(stream, key, white_rate, bad, shape)
     stages: list[Stage] = []
+    similar = None
     corrections = _CORRECTIONS if placed.positions > 1 else 0
     for correction in range(corrections + 1):
         problem = Problem(term, prior, jnp.asarray(λ, jnp.float32))
         last = correction == corrections
         outcome = run(
-            solver, problem, image, progress=progress, keep_images=keep_images,
+            solver,
+            problem,
+            image,
+            similar=similar,
+            progress=progress,
+            keep_images=keep_images,
             # What is corrected next need not be solved to the end.
             tolerance=solver.tolerance if last else _LOOSE * solver.tolerance,
-        )  # fmt: skip
+        )
         stages += [replace(s, number=len(stages) + n) for n, s in enumerate(outcome.stages, 1)]
         if last or not outcome.result.good:
             break
-        image = jnp.asarray(outcome.image)
-        term = with_exposure(uncorrected, placed, image)
+        similar = outcome.state
+        term = with_exposure(uncorrected, placed, jnp.asarray(outcome.image))
     clock.lap("solving")
     stats = {
         "iterations": len(stages),

@@ -35,7 +35,7 @@ class Stretches(NamedTuple):
 def stretches(
     spikes: Shaped[np.ndarray, "T h w"], *, key: int, white_rate: float | int = 0.6, most: int = 25
 ) -> Stretches:
-    """The recording as at most `most` pictures of equal length (four frames or more), edge to edge.
+    """The recording as at most `most` pictures of equal length (about four frames or more), edge to edge.
 
     The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it
     each at most): what fills such gaps is the same light at other times, which stands still, and pulls a velocity
@@ -43,10 +43,9 @@ def stretches(
     """
     frames = spikes.shape[0]
     begin, end = _measured(spikes, key)
-    length = max(4, -(-(end - begin) // most)) if frames > 8 else max((frames - 1) // 2, 1)
-    number = max((end - begin) // length, 1)
-    first = begin + (end - begin - number * length) / 2
-    edges = first + length * np.arange(number + 1)
+    # By the length of the recording alone, so that compiled code is met again whatever is left out at the ends.
+    number = min(max(frames // 4, 2), most) if frames > 2 else 1
+    edges = np.linspace(begin, end, number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
     firing = np.count_nonzero(spikes, axis=0).astype(np.float32) / np.float32(frames)
@@ -87,6 +86,7 @@ class Drift(NamedTuple):
     seen: Float[Array, "h w"]
 
 
+@jax.jit
 def drift(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
@@ -146,6 +146,7 @@ def presmoothed(pictures: Stretches, sigma: float | int) -> Stretches:
 _REACH = 18
 
 
+@jax.jit
 def smooth(values: Float[Array, "... h w"], sigma: Float[Array, ""]) -> Float[Array, "... h w"]:
     """Gaussian smoothing over the last two axes (σ up to 6, cut off at 3σ); beyond the border its values continue.
 

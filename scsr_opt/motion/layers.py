@@ -8,6 +8,8 @@ to lie there and that are seen in the key frame at that point, the one in front.
 hidden in the key frame and the sample has to be left out.
 """
 
+from typing import cast
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -68,8 +70,9 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
     """The candidates: the largest region that contradicts all so far is given a motion of its own, again and again."""
     motions = [background]
     left = contradicted(pictures, background)
+    longest = float(jnp.max(jnp.abs(pictures.after)))
     for _ in range(_MOST):
-        regions, number = ndimage.label(ndimage.binary_opening(left))
+        regions, number = cast(tuple[np.ndarray, int], ndimage.label(ndimage.binary_opening(left)))
         if number == 0:
             break
         sizes = np.bincount(regions.ravel())[1:]
@@ -78,7 +81,9 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
             break
         found = parametric(pictures, start=_commonest(everywhere, region), where=region)
         explained = region & ~contradicted(pictures, found)
-        if explained.sum() > 0.3 * region.sum():
+        # What leaves the picture within the recording is no motion that could have been measured.
+        measurable = found.speed[region].max() * longest < max(region.shape)
+        if measurable and explained.sum() > 0.3 * region.sum():
             motions.append(found)
             left = left & ~explained
         left = left & ~region
@@ -169,6 +174,11 @@ def _mismatch(
     return jnp.where(weight > 0.5, total / jnp.maximum(weight, 1e-6), _ENOUGH / 2)
 
 
+@jax.jit
+def _look_up(fields: Float[Array, "c h w"], position: Float[Array, "n 2 h w"]) -> Float[Array, "n c h w"]:
+    return jax.lax.map(lambda q: bilinear(fields, q[0], q[1]), position)
+
+
 def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
     """How many other layers each is in front of: where two come to lie on one pixel, which of them does it show?"""
     sharp = presmoothed(pictures, _SHARPNESS)
@@ -181,7 +191,7 @@ def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
         key_picture = drift(sharp.picture, sharp.after, near, velocity, acceleration).mean
         membership = jnp.asarray(layers.label == k, jnp.float32)
         both = jnp.stack([key_picture, membership])
-        looked_up = np.asarray(jax.lax.map(lambda q, both=both: bilinear(both, q[0], q[1]), origin))
+        looked_up = np.asarray(_look_up(both, origin))
         shown.append((looked_up[:, 0] - np.asarray(sharp.picture)) ** 2)
         there.append(looked_up[:, 1] > 0.5)
     wins = np.zeros(number, np.int32)

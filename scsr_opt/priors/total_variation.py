@@ -40,8 +40,8 @@ class TotalVariation(Prior[Dual]):
     Teboulle, 2009, "Fast gradient-based algorithms for constrained total variation image denoising and deblurring").
     The dual objective is within 2‖∇‖²λ²‖p₀ − p‖²/(k+1)² of its optimum after k steps from p₀. So a step from a p₀ of a
     similar problem, the last proximal step of an outer iteration for example, needs few: hand the returned state to the
-    next call. Five are then enough; two leave FISTA 0.2 % above the optimum. For a single step from `initial_state` use
-    100 or more, and `gap` to see how far it got.
+    next call. Five to ten are then enough; two leave FISTA 0.2 % above the optimum. For a single step from
+    `initial_state` use 100 or more, and `gap` to see how far it got.
 
     The value and the step can be differentiated; where a difference is zero the derivative of |·| is taken as zero.
 

@@ -54,6 +54,10 @@ class Solver(eqx.Module, Generic[State]):
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:
         """The state before the first iteration, from a first picture."""
 
+    def warm(self, problem: Problem, state: State) -> State:
+        """The state before the first iteration, from that of a run on a similar problem."""
+        return self.init(problem, self.image(state))
+
     @abc.abstractmethod
     def step(self, problem: Problem, state: State) -> tuple[State, Record]:
         """One iteration."""
@@ -82,11 +86,12 @@ def run(
     image: Float[Array, "H W"],
     *,
     state: Any = None,
+    similar: Any = None,
     progress: Progress | None = None,
     keep_images: bool = False,
     tolerance: float | int | None = None,
 ) -> Outcome:
-    """Runs `solver` on `problem` from `image`, or goes on from `state`.
+    """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with the state of a `similar` problem.
 
     A value that is not finite ends the run at once; the picture before it is returned. With `keep_images` every stage
     keeps R^(t) and X^(t), and each iteration is a chunk of its own. `tolerance` stands in for the solver's own.
@@ -95,7 +100,8 @@ def run(
     iterations, enough = solver.iterations, jnp.float32(solver.tolerance if tolerance is None else tolerance)
     # The limits are handed over apart, so that other limits compile nothing anew.
     solver = eqx.tree_at(lambda s: (s.iterations, s.tolerance), solver, (1, 0.0))
-    state = _init(solver, problem, image) if state is None else state
+    if state is None:
+        state = _init(solver, problem, image) if similar is None else _warm(solver, problem, similar)
     chunk = 1 if keep_images else CHUNK
     stages: list[Stage] = []
     result = Result.iterations_exhausted
@@ -134,6 +140,11 @@ def run(
 @eqx.filter_jit
 def _init(solver: Solver[State], problem: Problem, image: Float[Array, "H W"]) -> State:
     return solver.init(problem, image)
+
+
+@eqx.filter_jit
+def _warm(solver: Solver[State], problem: Problem, state: State) -> State:
+    return solver.warm(problem, state)
 
 
 @eqx.filter_jit

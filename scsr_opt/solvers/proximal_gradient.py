@@ -11,7 +11,7 @@ from scsr_opt.solvers.problem import Problem, lipschitz_bound
 
 class ProximalGradientState(NamedTuple):
     """Changes every iteration: `image`, `gradient` of f there, `ahead` (where the next step starts), `ahead_gradient`,
-    `gradient_step` R, `momentum` t and the prior's state. Fixed when the run begins: `step_size`."""
+    `gradient_step` R, `momentum` t, `objective` F and the prior's state. Fixed when the run begins: `step_size`."""
 
     image: Float[Array, "H W"]
     gradient: Float[Array, "H W"]
@@ -19,6 +19,7 @@ class ProximalGradientState(NamedTuple):
     ahead_gradient: Float[Array, "H W"]
     gradient_step: Float[Array, "H W"]
     momentum: Float[Array, ""]
+    objective: Float[Array, ""]
     prior: Any
     step_size: Float[Array, ""]
 
@@ -36,6 +37,7 @@ class _ProximalGradient(Solver[ProximalGradientState]):
             ahead_gradient=gradient,
             gradient_step=image,
             momentum=jnp.ones((), image.dtype),
+            objective=jnp.full((), jnp.inf, image.dtype),
             prior=problem.prior.initial_state(image),
             step_size=1 / lipschitz_bound(problem.data),
         )
@@ -45,7 +47,8 @@ class _ProximalGradient(Solver[ProximalGradientState]):
         gradient_step = state.ahead - β * state.ahead_gradient
         image, prior = problem.prior.prox(gradient_step, β * problem.strength, state.prior)
         value, gradient = problem.data.value_and_gradient(image)
-        momentum, extrapolation = self._extrapolation(state, image)
+        penalty = problem.strength * problem.prior.value(image)
+        momentum, extrapolation = self._extrapolation(state, image, value + penalty)
         # f is quadratic, so its gradient at the point ahead follows from two known ones; the application of M that this
         # saves has given f at the picture itself instead, for the record.
         following = ProximalGradientState(
@@ -55,12 +58,13 @@ class _ProximalGradient(Solver[ProximalGradientState]):
             ahead_gradient=gradient + extrapolation * (gradient - state.gradient),
             gradient_step=gradient_step,
             momentum=momentum,
+            objective=value + penalty,
             prior=prior,
             step_size=β,
         )
         size = jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny)
         residual = jnp.linalg.norm(image - state.ahead) / size
-        return following, Record(value, problem.strength * problem.prior.value(image), residual, β)
+        return following, Record(value, penalty, residual, β)
 
     def image(self, state: ProximalGradientState) -> Float[Array, "H W"]:
         return state.image
@@ -68,8 +72,11 @@ class _ProximalGradient(Solver[ProximalGradientState]):
     def gradient_step(self, state: ProximalGradientState) -> Float[Array, "H W"]:
         return state.gradient_step
 
+    def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
+        return self.init(problem, state.image)._replace(prior=state.prior)
+
     def _extrapolation(
-        self, state: ProximalGradientState, image: Float[Array, "H W"]
+        self, state: ProximalGradientState, image: Float[Array, "H W"], objective: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The next t, and how far to go ahead along the latest change."""
         raise NotImplementedError
@@ -82,19 +89,21 @@ class ISTA(_ProximalGradient):
     Teboulle, 2009). β is 1 over a certain upper bound of L. For comparison and study; FISTA needs far fewer iterations.
     """
 
-    def _extrapolation(self, state, image):
+    def _extrapolation(self, state, image, objective):
         return state.momentum, jnp.zeros((), image.dtype)
 
 
 class FISTA(_ProximalGradient):
-    """ISTA with momentum: O(1/t²) (Beck and Teboulle, 2009), restarted whenever the momentum points uphill
-    (gradient scheme of O'Donoghue and Candès, 2015), which makes it linear where the problem allows it.
+    """ISTA with momentum: O(1/t²) (Beck and Teboulle, 2009), restarted whenever the momentum points uphill or the
+    objective rose (both schemes of O'Donoghue and Candès, 2015), which makes it linear where the problem allows it.
 
-    The prior's state (total variation's dual variable) is carried from one proximal step to the next.
+    The prior's state (total variation's dual variable) is carried from one proximal step to the next. A proximal step
+    that is not exact, as total variation's, is what momentum may add up; the second test is what ends that.
     """
 
-    def _extrapolation(self, state, image):
+    def _extrapolation(self, state, image, objective):
         uphill = jnp.sum((state.ahead - image) * (image - state.image)) > 0
+        uphill |= objective > state.objective
         t = jnp.where(uphill, 1, state.momentum)
         following = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
         return following, jnp.where(uphill, 0, (t - 1) / following)

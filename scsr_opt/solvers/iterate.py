@@ -91,7 +91,7 @@ def run(
     keep_images: bool = False,
     tolerance: float | int | None = None,
 ) -> Outcome:
-    """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with the state of a `similar` problem.
+    """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with that of a `similar` problem.
 
     A value that is not finite ends the run at once; the picture before it is returned. With `keep_images` every stage
     keeps R^(t) and X^(t), and each iteration is a chunk of its own. `tolerance` stands in for the solver's own.

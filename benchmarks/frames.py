@@ -17,7 +17,7 @@ import numpy as np
 
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import spike_intervals
-from scsr_opt.motion.trajectory import Motion, trajectory
+from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.sampling import DataTerm, accumulate, place
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.solvers.problem import Problem
@@ -41,7 +41,7 @@ def data_term(spikes: np.ndarray, scale: int) -> tuple[DataTerm, float, int]:
     frames, height, width = spikes.shape
     samples = spike_intervals(spikes)
     motion = Motion.of_velocity(np.broadcast_to(np.array(VELOCITY)[:, None, None], (2, height, width)))
-    path = trajectory(motion, key=frames // 2, start=0, stop=frames)
+    path = trajectory_of(motion, key=frames // 2, start=0, stop=frames)
     on_device = jax.tree.map(jnp.asarray, samples.padded())
     seconds = []
     for _ in range(3):

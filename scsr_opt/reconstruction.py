@@ -16,8 +16,8 @@ from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.errors import InputError
-from scsr_opt.motion.estimate import Estimator, estimate, filled, given
-from scsr_opt.motion.trajectory import Motion, trajectory
+from scsr_opt.motion.estimate import Estimator, estimate_motion, filled, given
+from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.sampling import accumulate, place, with_exposure
 from scsr_opt.priors.prior import Prior
@@ -89,7 +89,7 @@ def reconstruct(
     clock.lap("reading")
 
     if velocity is None or isinstance(velocity, Estimator):
-        motion = estimate(stream, key=key, white_rate=white_rate, estimator=velocity, bad_pixels=bad)
+        motion = estimate_motion(stream, key=key, white_rate=white_rate, estimator=velocity, bad_pixels=bad)
     else:
         motion = given(velocity, height, width)
     clock.lap("motion")
@@ -102,7 +102,7 @@ def reconstruct(
         )
     placed = place(
         jax.tree.map(jnp.asarray, samples.padded()),
-        trajectory(motion, key=key, start=0, stop=frames),
+        trajectory_of(motion, key=key, start=0, stop=frames),
         scale=scale,
         positions=_positions(samples, motion, scale),
         shape=shape,

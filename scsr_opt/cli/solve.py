@@ -39,8 +39,9 @@ def solve(
         Parameter(
             group=_SOLVING,
             allow_leading_hyphen=True,
-            help="auto: the simplest that fits; none: nothing moves; global: one affine motion for all; dense: one for "
-            "each pixel; DOWN,RIGHT: this velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
+            help="auto: the simplest that fits (none, global, or layers with occlusion); none: nothing moves; phase: "
+            "one translation; global: one affine motion for all; dense, ilk, tvl1: a velocity for each pixel; "
+            "DOWN,RIGHT: this velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
         ),
     ] = "auto",
     prior: Annotated[Prior, Parameter(group=_SOLVING, help="What the picture is taken to be like.")] = "tv",
@@ -156,9 +157,16 @@ def _velocity(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
     """
     import numpy as np
 
-    from scsr_opt.motion import estimate
+    from scsr_opt import motion as known
 
-    named = {"none": estimate.Still, "global": estimate.Global, "dense": estimate.Dense}
+    named = {
+        "none": known.Still,
+        "phase": known.PhaseCorrelation,
+        "global": known.Global,
+        "dense": known.Dense,
+        "ilk": known.ILK,
+        "tvl1": known.TVL1,
+    }
     if motion == "auto":
         return None
     if motion in named:
@@ -181,8 +189,8 @@ def _velocity(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
         down = right = float("nan")
     if not np.isfinite([down, right]).all():
         raise InputError(
-            f"--motion {motion} is not known: give auto, none, global, dense, DOWN,RIGHT in sensor pixels per frame, "
-            f"or the name of a .npy file."
+            f"--motion {motion} is not known: give auto, none, phase, global, dense, ilk, tvl1, DOWN,RIGHT in sensor "
+            f"pixels per frame, or the name of a .npy file."
         )
     return np.broadcast_to(np.array([down, right], np.float32)[:, None, None], shape).copy()
 

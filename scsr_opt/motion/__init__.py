@@ -7,7 +7,7 @@ from scsr_opt.motion.estimate import Automatic as Automatic
 from scsr_opt.motion.estimate import Dense as Dense
 from scsr_opt.motion.estimate import Global as Global
 from scsr_opt.motion.estimate import Still as Still
-from scsr_opt.motion.estimate import estimate as estimate
+from scsr_opt.motion.estimate import estimate_motion as estimate_motion
 from scsr_opt.motion.estimate import given as given
 from scsr_opt.motion.estimator import Estimator as Estimator
 from scsr_opt.motion.phase import PhaseCorrelation as PhaseCorrelation
@@ -15,4 +15,4 @@ from scsr_opt.motion.playback_flow import ILK as ILK
 from scsr_opt.motion.playback_flow import TVL1 as TVL1
 from scsr_opt.motion.trajectory import Motion as Motion
 from scsr_opt.motion.trajectory import Trajectory as Trajectory
-from scsr_opt.motion.trajectory import trajectory as trajectory
+from scsr_opt.motion.trajectory import trajectory_of as trajectory_of

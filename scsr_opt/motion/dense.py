@@ -4,12 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.ndimage import median_filter
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
 from scsr_opt.motion.trajectory import Motion
 
 # (frames from the key frame, presmoothing, window, steps), sensor pixels: near times and wide windows first.
 _SCHEDULE = ((8, 2.0, 6.0, 8), (16, 1.5, 4.0, 6), (32, 1.0, 3.0, 6), (np.inf, 0.8, 2.5, 6))
+
+# Side of the square of pixels that vote on a velocity after each part of the schedule.
+_VOTERS = 5
 
 
 def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
@@ -36,6 +40,8 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
             jnp.asarray(window),
             jnp.asarray(steps),
         )
+        # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
+        velocity = jnp.asarray(median_filter(np.asarray(velocity), (1, _VOTERS, _VOTERS), mode="nearest"))
     return Motion(np.asarray(velocity), start.acceleration, np.asarray(confidence))
 
 

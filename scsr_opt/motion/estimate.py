@@ -77,7 +77,7 @@ def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, float
     return motion, left
 
 
-def estimate(
+def estimate_motion(
     spikes: Shaped[np.ndarray, "T h w"],
     *,
     key: int,

@@ -116,7 +116,7 @@ class Trajectory(eqx.Module):
 _PART, _WHOLE = 0.5, 0.9
 
 
-def trajectory(motion: Motion, *, key: int, start: int, stop: int) -> Trajectory:
+def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Trajectory:
     """The inverse trajectories of frames `start` to `stop` (exclusive) around key frame `key`.
 
     With layers, a pixel sees the nearest one that comes to lie there; where there is none, what it sees was hidden in

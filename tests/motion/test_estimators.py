@@ -5,7 +5,18 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.errors import InputError
-from scsr_opt.motion import ILK, TVL1, Automatic, Dense, Estimator, Global, PhaseCorrelation, Still, estimate, given
+from scsr_opt.motion import (
+    ILK,
+    TVL1,
+    Automatic,
+    Dense,
+    Estimator,
+    Global,
+    PhaseCorrelation,
+    Still,
+    estimate_motion,
+    given,
+)
 from scsr_opt.motion.alignment import Stretches, stretches
 
 EVERY = [Still(), Global(), Global(affine=False), Dense(), Automatic(), PhaseCorrelation(), ILK(), TVL1()]
@@ -40,7 +51,7 @@ def test_phase_correlation_holds_in_dim_light_and_starts_the_affine_fit_there():
     scene = Translation(picture, (0.36, -0.48))
     spikes = simulate(scene, scale=2, sensor=Sensor(white_rate=0.12, photons=50.0)).spikes
     for estimator, bound in ((PhaseCorrelation(), 0.01), (Global(), 0.05)):
-        velocity = estimate(spikes, key=50, white_rate=0.12, estimator=estimator).velocity
+        velocity = estimate_motion(spikes, key=50, white_rate=0.12, estimator=estimator).velocity
         assert np.abs(velocity - np.array([0.18, -0.24])[:, None, None]).max() < bound
 
 
@@ -110,9 +121,12 @@ def test_bad_pixels_do_not_disturb(recording, error):
     bad[:, 30:32] = bad[55] = bad[10:13, 80:83] = True
     spikes[:, :, 30:32], spikes[:, 55], spikes[:, 10:13, 80:83] = 0, 1, 1
     for estimator in (Automatic(), PhaseCorrelation()):
-        motion = estimate(spikes, key=50, estimator=estimator, bad_pixels=bad)
+        motion = estimate_motion(spikes, key=50, estimator=estimator, bad_pixels=bad)
         assert error(motion.velocity, "translate0.3").max() < 0.01
-    assert np.median(error(estimate(spikes, key=50, estimator=TVL1(), bad_pixels=bad).velocity, "translate0.3")) < 0.02
+    assert (
+        np.median(error(estimate_motion(spikes, key=50, estimator=TVL1(), bad_pixels=bad).velocity, "translate0.3"))
+        < 0.02
+    )
 
 
 @pytest.mark.parametrize("estimator", [Dense(), ILK(), TVL1()], ids=name)
@@ -121,7 +135,7 @@ def test_confidence_is_lower_where_there_is_no_texture(estimator):
     picture = 0.5 + 0.12 * texture / texture.std()
     picture[:, 80:] = 0.5
     spikes = simulate(Translation(picture.clip(0, 1), (0.2, 0.0)), scale=2).spikes
-    confidence = estimate(spikes, key=50, estimator=estimator).confidence
+    confidence = estimate_motion(spikes, key=50, estimator=estimator).confidence
     assert np.median(confidence[15:-15, 10:30]) > 0.8
     assert np.median(confidence[15:-15, 55:70]) < np.median(confidence[15:-15, 10:30]) / 2
 
@@ -130,7 +144,7 @@ def test_confidence_is_lower_where_there_is_no_texture(estimator):
 @pytest.mark.parametrize("shape", [(40, 1, 1), (40, 3, 5), (40, 1, 40)])
 def test_tiny_pictures(estimator, shape):
     spikes = np.random.default_rng(0).random(shape) < 0.3
-    motion = estimate(spikes, key=20, estimator=estimator)
+    motion = estimate_motion(spikes, key=20, estimator=estimator)
     assert motion.velocity.shape == (2, *shape[1:])
     assert np.isfinite(motion.velocity).all() and np.isfinite(motion.confidence).all()
 
@@ -140,13 +154,13 @@ def test_tiny_pictures(estimator, shape):
 def test_short_recordings(estimator, frames):
     spikes = np.random.default_rng(0).random((frames, 16, 18)) < 0.3
     for key in {0, frames // 2, frames - 1}:
-        assert np.isfinite(estimate(spikes, key=key, estimator=estimator).velocity).all()
+        assert np.isfinite(estimate_motion(spikes, key=key, estimator=estimator).velocity).all()
 
 
 @pytest.mark.parametrize("frames", [1, 3, 8])
 def test_short_recordings_with_defaults(frames):
     spikes = np.random.default_rng(0).random((frames, 16, 18)) < 0.3
-    assert np.isfinite(estimate(spikes, key=frames - 1).velocity).all()
+    assert np.isfinite(estimate_motion(spikes, key=frames - 1).velocity).all()
 
 
 @pytest.mark.parametrize("estimator", EVERY, ids=name)
@@ -164,7 +178,7 @@ def test_noise_gives_finite_velocities(estimator, central):
 
 @pytest.mark.parametrize("key", [0, 10, 90, 100])
 def test_a_key_frame_near_an_end(key, recording):
-    velocity = estimate(recording("translate0.3").spikes, key=key, estimator=ILK()).velocity
+    velocity = estimate_motion(recording("translate0.3").spikes, key=key, estimator=ILK()).velocity
     assert np.abs(np.median(velocity, axis=(1, 2)) - [0.18, -0.24]).max() < 0.02
 
 

@@ -4,7 +4,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from scsr_opt.motion import Motion, trajectory
+from scsr_opt.motion import Motion, trajectory_of
 
 H, W, KEY, FRAMES = 40, 60, 50, 101
 ROWS, COLUMNS = np.mgrid[0:H, 0:W]
@@ -34,7 +34,7 @@ def smooth() -> Motion:
 
 @pytest.mark.parametrize("time", [2.0, 30.0, 50.0, 66.0, 98.0])
 def test_a_key_frame_point_moved_on_comes_to_lie_on_its_pixel(smooth, time):
-    position = at(trajectory(smooth, key=KEY, start=0, stop=FRAMES), time - time % 4)
+    position = at(trajectory_of(smooth, key=KEY, start=0, stop=FRAMES), time - time % 4)
     tau = time - time % 4 - KEY
     field = np.concatenate([smooth.velocity, smooth.acceleration])
     v = np.stack([map_coordinates(part, position, order=1, mode="nearest") for part in field])
@@ -44,11 +44,13 @@ def test_a_key_frame_point_moved_on_comes_to_lie_on_its_pixel(smooth, time):
 
 
 def test_at_the_key_frame_every_pixel_sees_itself(smooth):
-    np.testing.assert_allclose(at(trajectory(smooth, key=48, start=0, stop=FRAMES), 48.0), [ROWS, COLUMNS], atol=1e-5)
+    np.testing.assert_allclose(
+        at(trajectory_of(smooth, key=48, start=0, stop=FRAMES), 48.0), [ROWS, COLUMNS], atol=1e-5
+    )
 
 
 def test_nothing_moves_needs_one_moment():
-    path = trajectory(Motion.none(H, W), key=KEY, start=0, stop=FRAMES)
+    path = trajectory_of(Motion.none(H, W), key=KEY, start=0, stop=FRAMES)
     assert path.position.shape == (1, 2, H, W)
     for time in (0.0, 13.7, 100.0):
         np.testing.assert_array_equal(at(path, time), [ROWS, COLUMNS])
@@ -58,7 +60,7 @@ def test_acceleration_counts_by_half_the_square_of_the_time():
     a = np.zeros((2, H, W), np.float32)
     a[1] = 2e-3
     motion = Motion(np.zeros((2, H, W), np.float32), a, np.ones((H, W), np.float32))
-    position = at(trajectory(motion, key=48, start=0, stop=FRAMES), 88.0)
+    position = at(trajectory_of(motion, key=48, start=0, stop=FRAMES), 88.0)
     np.testing.assert_allclose(position[1], COLUMNS - 2e-3 * 40**2 / 2, atol=1e-4)
     np.testing.assert_allclose(position[0], ROWS, atol=1e-5)
 
@@ -68,7 +70,7 @@ def test_between_moments_the_path_is_straight_to_within_its_curvature():
     acceleration = np.zeros((2, H, W), np.float32)
     acceleration[0] = a
     motion = Motion(np.full((2, H, W), 0.1, np.float32), acceleration, np.ones((H, W), np.float32))
-    path = trajectory(motion, key=KEY, start=0, stop=FRAMES)
+    path = trajectory_of(motion, key=KEY, start=0, stop=FRAMES)
     for time in np.linspace(40, 60, 21):
         tau = time - KEY
         assert np.abs(at(path, time)[0] - (ROWS - 0.1 * tau - a * tau**2 / 2)).max() < a * 4**2 / 8 + 1e-4
@@ -83,7 +85,7 @@ def test_the_inverse_of_a_rotation():
     velocity = np.einsum("ij,jhw->ihw", gradient, from_middle)
     acceleration = np.einsum("ij,jhw->ihw", gradient @ gradient, from_middle)
     motion = Motion(velocity.astype(np.float32), acceleration.astype(np.float32), np.ones((H, W), np.float32))
-    path = trajectory(motion, key=48, start=0, stop=FRAMES)
+    path = trajectory_of(motion, key=48, start=0, stop=FRAMES)
     for time in (8.0, 72.0, 96.0):
         tau = time - 48
         exact = np.einsum("ij,jhw->ihw", expm(-gradient * tau), from_middle) + middle
@@ -96,7 +98,7 @@ def test_straight_affine_motion_against_its_closed_form():
     gradient = np.array([[2e-3, 1e-3], [-1e-3, -2e-3]])
     drift = np.array([0.05, -0.1])
     velocity = np.einsum("ij,jhw->ihw", gradient, np.stack([ROWS, COLUMNS])) + drift[:, None, None]
-    path = trajectory(Motion.of_velocity(velocity), key=48, start=0, stop=FRAMES)
+    path = trajectory_of(Motion.of_velocity(velocity), key=48, start=0, stop=FRAMES)
     for time in (0.0, 28.0, 100.0):
         tau = time - 48
         pixels = np.stack([ROWS, COLUMNS]) - (drift * tau)[:, None, None]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from scsr_opt.camera.samples import Samples
-from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, trajectory
+from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, trajectory_of
 from scsr_opt.operators import (
     Aperture,
     Blur,
@@ -264,7 +264,7 @@ def explicit_and_sampled(
     velocity = np.stack(motion_of(*np.indices(sensor).astype(float)))
     motion = Motion.of_velocity(velocity)
     start, stop = int(times.min()), int(times.max()) + 1
-    path = in_double_precision(trajectory(motion, key=-start, start=0, stop=stop - start))
+    path = in_double_precision(trajectory_of(motion, key=-start, start=0, stop=stop - start))
     row, column = np.indices(sensor).reshape(2, -1)
     at = np.repeat(times - start, row.size)
     samples = Samples(
@@ -452,7 +452,7 @@ def test_narrow_sensors(sensor, scale):
     time, value = np.zeros(row.size), np.random.default_rng(0).random(row.size)
     samples = jax.tree.map(jnp.asarray, Samples(row, column, time, time, value, np.ones(row.size)))
     shape = (sensor[0] * scale, sensor[1] * scale)
-    path = in_double_precision(trajectory(Motion.none(*sensor), key=0, start=0, stop=1))
+    path = in_double_precision(trajectory_of(Motion.none(*sensor), key=0, start=0, stop=1))
     placed = place(samples, path, scale=scale, positions=1, shape=shape)
     term = accumulate(placed)
     expected = np.kron(value.reshape(sensor), np.full((scale, scale), -1 / scale**2))

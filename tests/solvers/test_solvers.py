@@ -14,7 +14,7 @@ import scipy.sparse
 
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
-from scsr_opt.motion.trajectory import Motion, trajectory
+from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators import accumulate, place
 from scsr_opt.priors import TotalVariation
 from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Outcome, Problem, Result, lipschitz_bound, run
@@ -81,7 +81,7 @@ def case() -> Case:
     weight = weight.astype(np.float32)
     samples = Samples(row.astype(np.int32), column.astype(np.int32), time, time, value, weight)
     velocity = np.broadcast_to(np.array(VELOCITY, np.float32)[:, None, None], (2, *SENSOR))
-    path = trajectory(Motion.of_velocity(velocity), key=KEY, start=0, stop=2 * KEY)
+    path = trajectory_of(Motion.of_velocity(velocity), key=KEY, start=0, stop=2 * KEY)
     term = accumulate(place(jax.tree.map(jnp.asarray, samples), path, scale=SCALE, positions=1, shape=SHAPE))
     problem = Problem(term, TotalVariation(), jnp.float32(STRENGTH))
     return Case(matrix, weight.astype(float), value.astype(float), problem, jnp.full(SHAPE, 0.5))

@@ -17,11 +17,11 @@ import scsr_opt
 from scsr_opt.camera import Recording, read_recording, tfp, write_recording
 from scsr_opt.cli import main
 from scsr_opt.errors import InputError
-from scsr_opt.motion.estimate import Dense, Global, Still
+from scsr_opt.motion import ILK, TVL1, Dense, Global, PhaseCorrelation, Still
 from scsr_opt.priors.total_variation import TotalVariation
+from scsr_opt.reconstruction import FRAMES
 from scsr_opt.report import bicubic, read_picture
-from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
-from scsr_opt.solvers.solution import Result, Solution, Stage
+from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Result, Solution, Stage
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40
 
@@ -53,11 +53,11 @@ def asked(monkeypatch) -> list[dict]:
     calls: list[dict] = []
 
     def stand_in(spikes, *, scale, key, progress, **others):
-        calls.append({"spikes": np.asarray(spikes), "scale": scale, "key": key, **others})
+        calls.append({"spikes": spikes, "scale": scale, "key": key, **others})
         progress.start(2, "Solving")
         progress.advance(2)
         progress.finish()
-        image = np.kron(tfp(spikes, key, white_rate=others["white_rate"]), np.ones((scale, scale), np.float32))
+        image = np.kron(tfp(spikes, key, white_rate=spikes.white_rate), np.ones((scale, scale), np.float32))
         stages = tuple(Stage(t, 1.0 / t, 0.5 / t, 0.5 / t, 0.1**t, 0.5) for t in (1, 2))
         velocity = np.zeros((2, *image.shape), np.float32)[:, ::scale, ::scale]
         return Solution(image, stages, Result.converged, {"iterations": 2}, velocity)
@@ -150,7 +150,8 @@ def test_interrupting_says_so(capsys, monkeypatch, file):
         (MemoryError(), "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."),
         (OSError(28, "No space left on device", "x.npz"), "x.npz: No space left on device."),
         (OSError(5, "Input/output error"), "Input/output error."),
-        (ValueError("strength is\n-1"), "strength is -1"),
+        (InputError("strength is\n-1"), "strength is -1"),
+        (ValueError("odd"), "ValueError: odd (a fault of the program; SCSR_TRACEBACK=1 shows where)"),
         (TypeError("odd"), "TypeError: odd (a fault of the program; SCSR_TRACEBACK=1 shows where)"),
     ],
 )
@@ -409,8 +410,9 @@ def test_solve_writes_all_that_was_asked_for(capsys, file, asked, spikes):
     assert lines[2].startswith("2 iterations in ") and lines[2].endswith("The picture meets the tolerance.")
     assert lines[3:] == ["a.png", "a.json", "f.png"]
     (call,) = asked
-    assert (call["spikes"] == spikes).all() and call["key"] == 10 and call["scale"] == 2 and call["white_rate"] == 0.6
-    assert call.keys() <= {"spikes", "scale", "key", "white_rate", "bad_pixels"}  # the rest is left to the defaults
+    assert (np.asarray(call["spikes"]) == spikes).all() and call["spikes"].white_rate == 0.6
+    assert call["key"] == 10 and call["scale"] == 2 and call["frames"] == FRAMES
+    assert call.keys() == {"spikes", "scale", "key", "frames"}  # the rest is left to the defaults
     wanted = np.kron(tfp(spikes, 10, white_rate=0.6), np.ones((2, 2))).clip(0, 1)
     assert read_picture("a.png") == pytest.approx(wanted, abs=0.5 / 255 + 1e-6)
     told = json.loads(Path("a.json").read_text())
@@ -425,10 +427,10 @@ def test_solve_is_silent_when_asked(capsys, file, asked):
     assert run(capsys, "solve", file, "-o", "a.png", "-q") == ""
 
 
-def test_solve_takes_frames_around_the_key(capsys, file, asked, spikes):
+def test_solve_takes_frames_around_the_key(capsys, file, asked):
     run(capsys, "solve", file, "-o", "a.npz", "--key", "28", "--frames", "11")
     (call,) = asked
-    assert (call["spikes"] == spikes[20:]).all() and call["key"] == 8
+    assert call["key"] == 28 and call["frames"] == 11
     with np.load("a.npz") as stored:
         assert stored["key"] == 28 and stored["scale"] == 4 and stored["velocity"].shape == (2, HEIGHT, WIDTH)
 
@@ -452,8 +454,13 @@ def test_solve_takes_a_motion(capsys, here, file, asked, motion, expected):
         (["--motion", "none"], "velocity", Still()),
         (["--motion", "global"], "velocity", Global()),
         (["--motion", "dense"], "velocity", Dense()),
+        (["--motion", "phase"], "velocity", PhaseCorrelation()),
+        (["--motion", "ilk"], "velocity", ILK()),
+        (["--motion", "tvl1"], "velocity", TVL1()),
         (["--prior", "tv-anisotropic"], "prior", TotalVariation(isotropic=False)),
         (["--solver", "ista"], "solver", ISTA()),
+        (["--solver", "jaxopt-ista"], "solver", JaxoptISTA()),
+        (["--solver", "jaxopt-fista"], "solver", JaxoptFISTA()),
         (["--iterations", "7"], "solver", FISTA(iterations=7)),
         (["--strength", "0.5"], "strength", 0.5),
     ],
@@ -461,13 +468,13 @@ def test_solve_takes_a_motion(capsys, here, file, asked, motion, expected):
 def test_solve_passes_choices_on(capsys, file, asked, options, name, value):
     run(capsys, "solve", file, "-o", "a.png", *options)
     assert type(asked[0][name]) is type(value) and asked[0][name] == value
-    assert asked[0].keys() == {"spikes", "scale", "key", "white_rate", "bad_pixels", name}
+    assert asked[0].keys() == {"spikes", "scale", "key", "frames", name}
 
 
 def test_solve_passes_bad_pixels_on(capsys, here, file, asked):
     np.save(here / "bad.npy", np.eye(HEIGHT, WIDTH, dtype=bool))
     run(capsys, "solve", file, "-o", "a.png", "--bad-pixels", "bad.npy")
-    assert (asked[0]["bad_pixels"] == np.eye(HEIGHT, WIDTH, dtype=bool)).all()
+    assert (asked[0]["spikes"].bad_pixels == np.eye(HEIGHT, WIDTH, dtype=bool)).all()
 
 
 @pytest.mark.parametrize(

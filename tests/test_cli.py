@@ -19,7 +19,6 @@ from scsr_opt.cli import main
 from scsr_opt.errors import InputError
 from scsr_opt.motion import ILK, TVL1, Dense, Global, PhaseCorrelation, Still
 from scsr_opt.priors.total_variation import TotalVariation
-from scsr_opt.reconstruction import FRAMES
 from scsr_opt.report import bicubic, read_picture
 from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Result, Solution, Stage
 
@@ -411,7 +410,7 @@ def test_solve_writes_all_that_was_asked_for(capsys, file, asked, spikes):
     assert lines[3:] == ["a.png", "a.json", "f.png"]
     (call,) = asked
     assert (np.asarray(call["spikes"]) == spikes).all() and call["spikes"].white_rate == 0.6
-    assert call["key"] == 10 and call["scale"] == 2 and call["frames"] == FRAMES
+    assert call["key"] == 10 and call["scale"] == 2 and call["frames"] == 101
     assert call.keys() == {"spikes", "scale", "key", "frames"}  # the rest is left to the defaults
     wanted = np.kron(tfp(spikes, 10, white_rate=0.6), np.ones((2, 2))).clip(0, 1)
     assert read_picture("a.png") == pytest.approx(wanted, abs=0.5 / 255 + 1e-6)

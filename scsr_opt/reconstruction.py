@@ -3,14 +3,16 @@
 import math
 import operator
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import SupportsFloat, SupportsIndex
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
+from numpy.typing import ArrayLike
 
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
@@ -38,17 +40,17 @@ _LOOSE = 5.0
 
 
 def reconstruct(
-    spikes: Shaped[np.ndarray, "T h w"] | Recording,
+    spikes: ArrayLike | Recording,
     *,
-    scale: int,
-    key: int | None = None,
-    frames: int = FRAMES,
-    white_rate: float | int | None = None,
-    velocity: Float[np.ndarray, "2 h w"] | Estimator | None = None,
-    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    scale: SupportsIndex,
+    key: SupportsIndex | None = None,
+    frames: SupportsIndex = FRAMES,
+    white_rate: SupportsFloat | None = None,
+    velocity: ArrayLike | Sequence[float] | Estimator | None = None,
+    bad_pixels: ArrayLike | None = None,
     prior: Prior | None = None,
     solver: Solver | None = None,
-    strength: float | None = None,
+    strength: SupportsFloat | None = None,
     optics: Blur | None = None,
     progress: Progress | None = None,
     keep_images: bool = False,
@@ -84,8 +86,12 @@ def reconstruct(
     frames, key = stop - start, key - start
     rate = recording.white_rate if white_rate is None else white_rate
     white_rate = _number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
+    if strength is not None:
+        strength = _number(strength, "strength", lambda v: v >= 0, "of at least 0")
     bad = _bad_pixels(recording, bad_pixels)
     stream = recording.window(start, stop)
+    if bad is not None:
+        stream[:, bad] = 0  # whatever they fired, nothing after this line knows
     clock.lap("reading")
 
     if velocity is None or isinstance(velocity, Estimator):
@@ -110,11 +116,7 @@ def reconstruct(
     uncorrected = term = accumulate(placed, optics=optics)
     clock.lap("samples")
 
-    λ = (
-        _strength(stream, white_rate, scale, bad)
-        if strength is None
-        else _number(strength, "strength", lambda v: v >= 0, "of at least 0")
-    )
+    λ = _strength(stream, white_rate, scale, bad) if strength is None else strength
     prior = TotalVariation() if prior is None else prior
     solver = FISTA() if solver is None else solver
     image = _first_picture(stream, key, white_rate, bad, shape)
@@ -241,7 +243,7 @@ def _first_picture(
     return jax.image.resize(picture[0], shape, "linear")
 
 
-def _bad_pixels(recording: Recording, extra: Bool[np.ndarray, "h w"] | None) -> Bool[np.ndarray, "h w"] | None:
+def _bad_pixels(recording: Recording, extra: ArrayLike | None) -> Bool[np.ndarray, "h w"] | None:
     known = recording.bad_pixels
     if extra is None:
         return known
@@ -254,7 +256,7 @@ def _bad_pixels(recording: Recording, extra: Bool[np.ndarray, "h w"] | None) -> 
     return mask if known is None else mask | known
 
 
-def _whole(value: int, name: str, least: int, most: int | None = None) -> int:
+def _whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
     try:
         number = operator.index(value)
     except TypeError:
@@ -265,7 +267,7 @@ def _whole(value: int, name: str, least: int, most: int | None = None) -> int:
     return number
 
 
-def _number(value: float, name: str, allowed: Callable[[float], bool], limits: str) -> float:
+def _number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], limits: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):

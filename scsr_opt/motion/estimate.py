@@ -1,8 +1,11 @@
 """Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
+from numpy.typing import ArrayLike
 
 from scsr_opt.errors import InputError
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
@@ -107,7 +110,7 @@ def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n
     return jnp.where(jnp.asarray(good)[None], pictures, nearby)
 
 
-def given(velocity: np.ndarray, height: int, width: int) -> Motion:
+def given(velocity: ArrayLike | Sequence[float], height: int, width: int) -> Motion:
     """A velocity handed in by the user: (2, h, w), or two numbers for the whole scene; sensor pixels per frame.
 
     **Errors:** `InputError` for another shape or values that are not finite.

@@ -1,0 +1,80 @@
+"""Layers: which surface is where, which is in front, and what a pixel sees of them."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from skimage import data
+
+from scsr_opt.camera import Sensor, simulate
+from scsr_opt.camera.scenes import Box, MovingObject
+from scsr_opt.motion import Automatic, Motion, estimate_motion, trajectory_of
+from scsr_opt.motion.trajectory import SPACING, Layers
+
+KEY, FRAMES = 40, 81
+SPEED = 0.25  # sensor pixels per frame, to the right
+
+
+def before_a_background(depth: tuple[int, int]) -> Motion:
+    """By hand: a square of 10 pixels that moves to the right over a background at rest, in front of it or behind."""
+    label = np.zeros((30, 40), np.int32)
+    label[10:20, 15:25] = 1
+    velocity = np.zeros((2, 2, 30, 40), np.float32)
+    velocity[1, 1] = SPEED
+    layers = Layers(velocity, np.zeros_like(velocity), label, np.array(depth, np.int32))
+    return Motion.of_layers(layers, np.ones((30, 40), np.float32))
+
+
+def seen_at(motion: Motion, time: int) -> tuple[np.ndarray, np.ndarray]:
+    path = trajectory_of(motion, key=KEY, start=0, stop=FRAMES)
+    moment = time // SPACING
+    return np.asarray(path.position[moment]), np.asarray(path.visible[moment])
+
+
+def test_what_is_in_front_hides_what_is_behind():
+    position, visible = seen_at(before_a_background((0, 1)), KEY + 16)  # the square is now 4 columns further right
+    inside = (slice(12, 18), slice(21, 27))
+    np.testing.assert_allclose(position[1][inside], np.arange(21, 27)[None] - 4.0 + np.zeros((6, 1)), atol=1e-4)
+    assert (visible[inside] == 1).all()
+    # Columns 15 to 18 show background that the square hid in the key frame: no sample may be taken from there.
+    assert (visible[12:18, 15:18] == 0).all()
+    assert (visible[:, :13] == 1).all() and (visible[:8] == 1).all()
+
+
+def test_what_is_behind_is_hidden_by_what_is_in_front():
+    position, visible = seen_at(before_a_background((1, 0)), KEY + 16)
+    # The background that the key frame shows right of the square stays in view; the square slides under it.
+    np.testing.assert_allclose(position[1, 12:18, 26:29], np.arange(26, 29)[None] + np.zeros((6, 1)), atol=1e-4)
+    assert (visible[12:18, 26:29] == 1).all()
+
+
+def test_each_pixel_of_the_key_frame_sees_itself_then():
+    position, visible = seen_at(before_a_background((0, 1)), KEY)
+    np.testing.assert_allclose(position, np.mgrid[0:30, 0:40], atol=1e-5)
+    assert (visible == 1).all()
+
+
+@pytest.mark.parametrize("speed", [(0.0, 0.2), (-0.15, 0.1)])
+def test_an_object_is_found_with_its_motion_its_outline_and_its_place_in_front(speed):
+    scale = 2
+    scene = MovingObject(
+        data.camera()[100:260, 100:260],
+        data.brick()[:100, :100],
+        velocity=(scale * speed[0], scale * speed[1]),
+        shape=Box(35.0, 35.0),
+    )
+    made = simulate(scene, scale=scale, frames=101, sensor=Sensor(photons=1000.0), seed=0)
+    motion = estimate_motion(made.spikes, key=50, estimator=Automatic())
+    truth = made.velocity(50)
+    assert motion.layers is not None
+    inside, outside = np.abs(truth).sum(0) > 0, np.abs(truth).sum(0) == 0
+    wrong = np.abs(motion.velocity - truth).max(0) > 0.02
+    # Where a brick is plain either motion fits, so that not all of the object need follow it; the background is
+    # textured.
+    assert wrong[inside].mean() < 0.3 and wrong[outside].mean() < 0.05
+    object_layer = motion.layers.label[inside].astype(int)
+    commonest = np.bincount(object_layer).argmax()
+    background = np.bincount(motion.layers.label[outside].astype(int)).argmax()
+    assert commonest != background and motion.layers.depth[commonest] > motion.layers.depth[background]
+    found = motion.layers.velocity[commonest][:, inside].mean(1)
+    np.testing.assert_allclose(found, speed, atol=2e-3)
+    assert jnp.isfinite(trajectory_of(motion, key=50, start=0, stop=101).position).all()

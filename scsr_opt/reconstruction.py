@@ -34,6 +34,9 @@ from scsr_opt.solvers.solution import Result, Solution, Stage
 # short enough for motion to be smooth.
 FRAMES = 101
 
+# Pixels of the largest picture: a solve holds about 40 numbers for each, 16 GB in all.
+_MOST_PIXELS = 10**8
+
 # Corrections for motion during the exposures (majorise–minimise steps); each takes back most of what is left.
 _CORRECTIONS = 3
 _LOOSE = 5.0
@@ -67,7 +70,8 @@ def reconstruct(
       right); or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by `Automatic` if not given.
     - `bad_pixels`: (h, w), true where a pixel must not be used (added to those of the recording).
     - `prior`: Ψ; isotropic `TotalVariation` if not given.
-    - `solver`: `FISTA` if not given.
+    - `solver`: `FISTA` if not given. Its limit of iterations holds for the first solve and, where exposures are long
+      enough to need them, for each of three corrections after it.
     - `strength`: λ; from the data if not given.
     - `optics`: the lens, as a `Blur` of the high-resolution picture.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.
@@ -81,6 +85,14 @@ def reconstruct(
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     height, width = recording.height, recording.width
     scale = _whole(scale, "scale", 1)
+    if scale**2 * height * width > _MOST_PIXELS:
+        raise InputError(
+            f"At scale {scale} the picture would have {scale**2 * height * width / 1e6:.0f} million pixels; at most "
+            f"{_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale or crop the recording."
+        )
+    _check_type(prior, Prior, "prior", "TotalVariation()")
+    _check_type(solver, Solver, "solver", "FISTA()")
+    _check_type(optics, Blur, "optics", "Blur.gaussian(shape, sigma)")
     key = recording.frames // 2 if key is None else _whole(key, "key", 0, recording.frames - 1)
     start, stop = recording.around(key, _whole(frames, "frames", 1))
     frames, key = stop - start, key - start
@@ -102,10 +114,6 @@ def reconstruct(
 
     samples = _samples(stream, motion, scale=scale, white_rate=white_rate, bad=bad)
     shape = (scale * height, scale * width)
-    if samples.count == 0:
-        return Solution(
-            np.zeros(shape, np.float32), (), Result.no_samples, {"samples": 0}, motion.velocity, motion.confidence
-        )
     placed = place(
         jax.tree.map(jnp.asarray, samples.padded()),
         trajectory_of(motion, key=key, start=0, stop=frames),
@@ -113,6 +121,10 @@ def reconstruct(
         positions=_positions(samples, motion, scale),
         shape=shape,
     )
+    used = int(jnp.count_nonzero(placed.weight))
+    if used == 0:
+        stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
+        return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion.velocity, motion.confidence)
     uncorrected = term = accumulate(placed, optics=optics)
     clock.lap("samples")
 
@@ -144,7 +156,7 @@ def reconstruct(
     clock.lap("solving")
     stats = {
         "iterations": len(stages),
-        "samples": samples.count,
+        "samples": used,
         "positions": placed.positions,
         "strength": float(λ),
         "objective": stages[-1].objective,
@@ -254,6 +266,11 @@ def _bad_pixels(recording: Recording, extra: ArrayLike | None) -> Bool[np.ndarra
             f"({recording.height}, {recording.width}), true where a pixel is not to be used."
         )
     return mask if known is None else mask | known
+
+
+def _check_type(value: object, kind: type, name: str, example: str) -> None:
+    if value is not None and not isinstance(value, kind):
+        raise InputError(f"{name} is {value!r}; it must be a {kind.__name__}, such as {example}.")
 
 
 def _whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:

@@ -165,3 +165,17 @@ def test_video_of_a_known_answer_at_sensor_resolution(shared_data, name, floor):
     truth = imread(folder / f"{name}_part1_key150_groundtruth.png") / 255
     image = np.clip(reconstruct(recording, scale=1, key=150).image, 0, 1)
     assert -10 * np.log10(np.mean((image - truth) ** 2)) >= floor
+
+
+@pytest.mark.parametrize("key", [0, 30, 59])
+def test_noise_is_not_taken_for_motion(key):
+    """Spikes drawn anew in every frame contradict any motion; none of the richer ones may be believed for that."""
+    spikes = (np.random.default_rng(0).random((60, 24, 30)) < 0.3).astype(np.uint8)
+    solution = reconstruct(spikes, scale=2, key=key)
+    assert solution.stats["speed_max"] < 0.5  # it was 29 before motions had to explain something
+    assert solution.image.mean() == pytest.approx(0.5, rel=0.1)
+
+
+def test_samples_that_all_leave_the_picture_are_none():
+    solution = reconstruct(moving(2).spikes, scale=2, velocity=(1e30, 1e30))
+    assert solution.result is Result.no_samples

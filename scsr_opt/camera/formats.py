@@ -105,9 +105,9 @@ def read_recording(
     holds other values than 0 and 1 (in a mapped file: in its first frame; in later ones when they are read).
     """
     file = Path(path)
-    reader = _by_ending(file)
     if file.is_dir():
         raise InputError(f"{file} is a folder, not a recording: name one file in it.")
+    reader = _by_ending(file)
     if not file.is_file():
         raise InputError(f"There is no file {file.absolute()}: check the path.")
     if file.stat().st_size == 0:

@@ -52,7 +52,7 @@ def solve(
         Solver, Parameter(group=_SOLVING, help="All find the same picture; fista is the fastest, ista plain Eq. 5.")
     ] = "fista",
     iterations: Annotated[
-        int | None, Parameter(group=_SOLVING, help="Iterations at most. Default: the solver's own.")
+        int | None, Parameter(group=_SOLVING, help="Iterations at most, in each solve. Default: 200.")
     ] = None,
     bits: Annotated[int | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,

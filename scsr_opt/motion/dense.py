@@ -42,6 +42,9 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
         )
         # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
         velocity = jnp.asarray(median_filter(np.asarray(velocity), (1, _VOTERS, _VOTERS), mode="nearest"))
+        # What has left the picture halfway through the recording cannot have been followed.
+        limit = 0.5 * max(height, width) / float(jnp.max(jnp.abs(pictures.after)) + 1)
+        velocity = jnp.clip(velocity, -limit, limit)
     return Motion(np.asarray(velocity), start.acceleration, np.asarray(confidence))
 
 

@@ -21,6 +21,8 @@ from scsr_opt.motion.trajectory import Motion
 # for all.
 _TOLERATED_AT_REST = 0.001
 _TOLERATED_GLOBAL = 0.01
+# Layers have to leave at most this share of what contradicted the background alone.
+_HELPS = 0.8
 
 
 class Still(Estimator):
@@ -60,8 +62,10 @@ class Automatic(Estimator):
         whole, left = together(pictures)
         if left <= _TOLERATED_GLOBAL:
             return whole
-        background = whole if left < moving / 2 else still
-        return layered(pictures, background, dense(pictures, start=background))
+        background, unexplained = (whole, left) if left < moving / 2 else (still, moving)
+        layers = layered(pictures, background, dense(pictures, start=background))
+        # A recording of noise contradicts any motion: then more of it explains nothing.
+        return layers if contradicted(pictures, layers).mean() < _HELPS * unexplained else background
 
 
 def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, float]:
@@ -71,13 +75,20 @@ def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, float
     show nothing: at 0.12 spikes per frame of white it missed 0.3 px per frame by 0.27 from rest, by 0.03 from there.
     """
     motion = parametric(pictures, affine=affine)
-    left = float(contradicted(pictures, motion).mean())
+    left = _left(pictures, motion)
     if left > _TOLERATED_GLOBAL:
         other = parametric(pictures, affine=affine, start=PhaseCorrelation()(pictures))
-        left_then = float(contradicted(pictures, other).mean())
+        left_then = _left(pictures, other)
         if left_then < left:
             return other, left_then
     return motion, left
+
+
+def _left(pictures: Stretches, motion: Motion) -> float:
+    """The share of the pixels that contradict a motion of the whole scene; all, if it carries most out of view."""
+    longest = float(jnp.max(jnp.abs(pictures.after)))
+    leaves = np.abs(np.median(motion.velocity, axis=(1, 2))) * longest > 0.5 * np.array(pictures.picture.shape[1:])
+    return 1.0 if leaves.any() else float(contradicted(pictures, motion).mean())
 
 
 def estimate_motion(

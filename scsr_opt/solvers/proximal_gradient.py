@@ -25,8 +25,8 @@ class ProximalGradientState(NamedTuple):
 
 
 class _ProximalGradient(Solver[ProximalGradientState]):
-    iterations: int = 100
-    tolerance: float | int = 3e-4
+    iterations: int = 200
+    tolerance: float | int = 1e-4
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
         gradient = problem.data.gradient(image)

@@ -280,7 +280,7 @@ def test_progress_is_finished_when_the_work_fails(case):
     watcher = Stopped()
     with pytest.raises(KeyboardInterrupt):
         run(FISTA(tolerance=0), case.problem, case.start, progress=watcher)
-    assert watcher.calls == [("start", 100), "finish"]
+    assert watcher.calls == [("start", FISTA().iterations), "finish"]
 
 
 @pytest.mark.parametrize("name", SOLVERS)

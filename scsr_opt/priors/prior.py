@@ -1,5 +1,6 @@
 """What a prior Ψ of Eq. 4 has to offer to the solvers."""
 
+import abc
 from typing import Generic, TypeVar
 
 import equinox as eqx
@@ -15,16 +16,16 @@ class Prior(eqx.Module, Generic[State]):
     variation, say) travels through `state`, so that a solver can warm-start it and nothing is hidden.
     """
 
+    @abc.abstractmethod
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image)."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def initial_state(self, image: Float[Array, "H W"]) -> State:
         """The state from which a first proximal step on a picture like `image` starts."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def prox(
         self, image: Float[Array, "H W"], strength: Float[Array, ""], state: State
     ) -> tuple[Float[Array, "H W"], State]:
         """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call."""
-        raise NotImplementedError

@@ -1,0 +1,141 @@
+"""Priors of the form Ψ(X) = φ(K X): what they offer to splitting methods, and their proximal step by a dual method."""
+
+import abc
+from typing import Generic
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike, DTypeLike
+from jaxtyping import Array, Float
+
+from scsr_opt.priors.prior import Prior, State
+
+# A loop over unrolled parts writes its carry to memory once more each time round: unrolled as a whole where that is
+# short.
+_UNROLL = 10
+
+
+class Analysis(Prior[State], Generic[State]):
+    """A prior Ψ(X) = φ(K X), K a linear map and φ convex and simple: the proximal step of its conjugate is known.
+
+    A field (an array or a pytree of arrays) is what K makes of a picture; `State`, the dual variable p, is one too. It
+    is kept free of the strength: the dual variable of λΨ is λp, so that p remains a good start when λ or a step size
+    changes. The proximal step
+
+        prox(f) = argmin over X of ½‖X − f‖² + λφ(K X) = f − λK*p,   p = argmin of ½‖f − λK*p‖² + λφ*(p)
+
+    is found by `iterations` steps of the fast gradient projection (FGP) on p, of size 1/(λ²‖K‖²) (Beck and Teboulle,
+    2009, "Fast gradient-based algorithms for constrained total variation image denoising and deblurring"). The dual
+    objective is within 2‖K‖²λ²‖p₀ − p‖²/(k+1)² of its optimum after k steps from p₀. So a step from a p₀ of a similar
+    problem, the last proximal step of an outer iteration for example, needs few: hand the returned state to the next
+    call. Five to ten are then enough; two leave FISTA 0.2 % above the optimum. For a single step from `initial_state`
+    use 100 or more, and `gap` to see how far it got.
+
+    **Fields:** `iterations`: dual steps in each proximal step, ≥ 1.
+    """
+
+    iterations: eqx.AbstractVar[int]
+
+    @property
+    @abc.abstractmethod
+    def norm_squared(self) -> float:
+        """An upper bound on ‖K‖²."""
+
+    @abc.abstractmethod
+    def analysis(self, image: Float[Array, "H W"]) -> State:
+        """K X, a field."""
+
+    @abc.abstractmethod
+    def adjoint(self, field: State) -> Float[Array, "H W"]:
+        """K* applied to a field."""
+
+    @abc.abstractmethod
+    def penalties(self, field: State) -> Float[Array, "..."]:
+        """φ(field) as an array of the shape of the field's leaves, whose sum it is."""
+
+    @abc.abstractmethod
+    def conjugates(self, dual: State) -> Float[Array, "..."]:
+        """φ*(dual) in the same way, for a dual variable that `conjugate_prox` returned; zeros where φ is a norm."""
+
+    @abc.abstractmethod
+    def conjugate_prox(self, field: State, step: Float[Array, ""]) -> State:
+        """argmin over p of ½‖p − field‖² + step·φ*(p). Where φ is a norm: the nearest p in the dual unit ball."""
+
+    def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
+        """Ψ(image) = φ(K image), in the image's unit."""
+        return jnp.sum(self.penalties(self.analysis(image)))
+
+    def shrink(self, field: State, threshold: Float[Array, ""]) -> State:
+        """argmin over z of ½‖z − field‖² + threshold·φ(z), by Moreau's identity; threshold > 0."""
+        scaled = jax.tree.map(lambda v: v / threshold, field)
+        dual = self.conjugate_prox(scaled, 1 / threshold)
+        return jax.tree.map(lambda v, p: v - threshold * p, field, dual)
+
+    def initial_state(self, image: Float[Array, "H W"]) -> State:
+        """The dual variable zero: all that is known before a first step."""
+        return jax.tree.map(jnp.zeros_like, self.analysis(image))
+
+    def prox(
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: State
+    ) -> tuple[Float[Array, "H W"], State]:
+        """argmin over X of ½‖X − image‖² + strength·Ψ(X), to the accuracy of `iterations` steps from `state`.
+
+        **Arguments:**
+        - `image`: f.
+        - `strength`: λ, in the unit of the image. At 0 (below 1e-19 in float32), the image and the state are returned
+          as they are.
+        - `state`: from `initial_state` or from an earlier call for a picture of the same shape.
+
+        **Returns:** the minimiser, and the dual variable to start from next time.
+        """
+        strength = jnp.asarray(strength, image.dtype)
+        # A stand-in, because 1/strength or its derivative would be infinite, and not a number behind a `where`. A
+        # strength that is itself not a number is let through, to be noticed in the result.
+        off = strength < jnp.finfo(image.dtype).tiny ** 0.5
+        positive = jnp.where(off, 1, strength)
+        step = 1 / (self.norm_squared * positive)
+
+        def ascend(carry: tuple[State, State], momentum: Array) -> tuple[tuple[State, State], None]:
+            dual, ahead = carry
+            field = self.analysis(image - positive * self.adjoint(ahead))
+            moved = self.conjugate_prox(jax.tree.map(lambda p, z: p + step * z, ahead, field), step)
+            ahead = jax.tree.map(lambda new, old: new + momentum * (new - old), moved, dual)
+            return (moved, ahead), None
+
+        # Unrolled, the first picture of an iteration is computed in one pass with the last of the one before: 5
+        # iterations at 1000×1600 in 22 ms instead of 40 (two cores); an unrolled loop of 5 twice over takes 64 ms.
+        (dual, _), _ = jax.lax.scan(
+            ascend,
+            (state, state),
+            _momenta(self.iterations, image.dtype),
+            unroll=self.iterations if self.iterations <= _UNROLL else 2,
+        )
+        result = image - positive * self.adjoint(dual)
+        dual = jax.tree.map(lambda old, new: jnp.where(off, old, new), state, dual)
+        return jnp.where(off, image, result), dual
+
+    def gap(self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: State) -> Float[Array, ""]:
+        """Duality gap of the proximal problem at X = image − λK*p: how far X's objective is above the minimum, at most.
+
+        Also ½‖X − prox‖² ≤ gap. It is λ (φ(K X) + φ*(p) − ⟨K X, p⟩), for a norm a sum of terms that are not negative
+        (but for rounding), so it loses no digits to cancellation. It is 0 exactly at the minimiser, where p is a
+        subgradient.
+
+        **Arguments:** `image` and `strength` as they were given to `prox`, and the `state` that it returned.
+        """
+        strength = jnp.asarray(strength, image.dtype)
+        field = self.analysis(image - strength * self.adjoint(state))
+        products = sum(jax.tree.leaves(jax.tree.map(lambda z, p: z * p, field, state)))
+        # Summed last: term by term little is lost to cancellation.
+        return strength * jnp.sum(self.penalties(field) + self.conjugates(state) - products)
+
+
+def _momenta(iterations: int, dtype: DTypeLike) -> Float[Array, " n"]:
+    """(t_k − 1) / t_{k+1} of Beck and Teboulle for k = 1, 2, …"""
+    t, momenta = 1.0, []
+    for _ in range(iterations):
+        following = (1 + (1 + 4 * t**2) ** 0.5) / 2
+        momenta.append((t - 1) / following)
+        t = following
+    return jnp.asarray(momenta, dtype)

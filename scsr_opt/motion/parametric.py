@@ -1,118 +1,286 @@
-"""Motion of the whole scene with few numbers: translation or affine, with acceleration."""
+"""Motion of the whole scene with few numbers: translation, affine or perspective, with acceleration.
 
-from functools import partial
+The velocity is a sum of generators, fields that are fixed: two shifts, four linear fields (affine motion), and two
+quadratic ones (the generators of a homography: a plane that tilts). The numbers that the recording does not support
+stay 0: a richer model is taken only where it explains more than the noise would (`_asked_for`).
+"""
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
+from scipy.ndimage import gaussian_filter
 
-from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
+from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.trajectory import Motion
 
-# (frames from the key frame that take part, presmoothing in sensor pixels, Gauss–Newton steps): from near and blurred
-# to everything and sharp.
-_SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 5))
+# (frames from the key frame that take part, presmoothing in sensor pixels, most Gauss–Newton steps): from near and
+# blurred to everything and sharp.
+_SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 12))
+# Steps end when they move nothing by more than this at the farthest moment, in units of the presmoothing (the last ones
+# go on to a tenth of it).
+_SMALL = 0.02
 
 # In a region that was found by contradicting something, a good part may belong to other surfaces: the motion is that of
 # the share that agrees best, and the start is trusted enough to leave out the nearest times.
 _MINORITY = 0.2
+
+# Points of the key frame that are looked at. Presmoothed pictures change little from pixel to pixel: a sixth of a
+# sensor of 400×250 says as much as all of it.
+_POINTS = 16384
+# The picture is cut into so many blocks each way, whose votes tell how certain a number is.
+_BLOCKS = 16
+
+_SHIFTS, _LINEAR, _QUADRATIC = slice(0, 2), slice(2, 6), slice(6, 8)
+_GENERATORS = 8
+
+
+def generators(position: Float[np.ndarray, "2 *n"], height: int, width: int) -> Float[np.ndarray, "8 2 *n"]:
+    """The fields whose sums are the velocities considered, at (row, column) of a `height` × `width` picture.
+
+    With ρ, γ the row and column from the picture's middle over its longer side: (1, 0), (0, 1); (ρ, 0), (γ, 0), (0, ρ),
+    (0, γ); (ρ², ργ), (ργ, γ²).
+    """
+    ρ = (position[0] - (height - 1) / 2) / max(height, width)
+    γ = (position[1] - (width - 1) / 2) / max(height, width)
+    one, none = np.ones_like(ρ), np.zeros_like(ρ)
+    down = (one, none, ρ, γ, none, none, ρ * ρ, ρ * γ)
+    right = (none, one, none, none, ρ, γ, ρ * γ, γ * γ)
+    return np.stack([np.stack(down), np.stack(right)], axis=1).astype(np.float32)
 
 
 def parametric(
     pictures: Stretches,
     *,
     affine: bool = True,
+    perspective: bool = True,
     start: Motion | None = None,
     where: Bool[np.ndarray, "h w"] | None = None,
 ) -> Motion:
-    """One velocity (and acceleration) for the whole scene, or one that varies linearly over the picture.
+    """One velocity (and acceleration) for the whole scene, or one that varies linearly or as a tilting plane's.
 
     Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
-    occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, twice
-    that with the acceleration that is fitted last. `start` gives a first velocity (its mean is used). With
-    `where`, only these pixels of the key frame are looked at; the motion is still given everywhere.
+    occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
+    perspective motion, twice that with the acceleration that is fitted last; each of these only where the recording
+    asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity (its mean is used).
+    With `where`, only these pixels of the key frame are looked at, and perspective, for which a region is too small,
+    is left out; the motion is still given everywhere.
     """
     height, width = pictures.picture.shape[1:]
-    rows, columns = np.mgrid[0:height, 0:width]
-    size = max(height, width)
-    shapes = [np.ones((height, width)), (rows - (height - 1) / 2) / size, (columns - (width - 1) / 2) / size]
-    basis = jnp.asarray(np.stack(shapes if affine else shapes[:1]), jnp.float32)
-    velocity = jnp.zeros((basis.shape[0], 2), jnp.float32)
+    points = _points(height, width, where)
+    numbers = np.zeros((2, _GENERATORS), np.float32)
     if start is not None:
         known = start.velocity if where is None else start.velocity[:, where]
-        velocity = velocity.at[0].set(jnp.asarray(known.reshape(2, -1).mean(1), jnp.float32))
-    acceleration = jnp.zeros_like(velocity)
-    region = jnp.ones((height, width), jnp.float32) if where is None else jnp.asarray(where, jnp.float32)
+        numbers[0, _SHIFTS] = known.reshape(2, -1).mean(1)
+    active = np.zeros((2, _GENERATORS), bool)
+    active[0, _SHIFTS] = True
     schedule, majority = (_SCHEDULE, 0.5) if where is None else (_SCHEDULE[1:], _MINORITY)
+    after = np.asarray(pictures.after)
     for reach, sigma, steps in schedule:
-        part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
-        with_acceleration = reach == np.inf and pictures.after.shape[0] >= 4
-        velocity, acceleration = _fit(
-            presmoothed(pictures, sigma),
-            part,
-            region,
-            basis,
-            velocity,
-            acceleration,
-            jnp.asarray(steps),
-            jnp.asarray(majority),
-            with_acceleration,
+        near = np.flatnonzero(np.abs(after) <= reach)
+        if near.size < 2:  # one picture shows no motion
+            continue
+        begin, end = int(near[0]), int(near[-1]) + 1
+        last = reach == np.inf
+        blurred = np.zeros(pictures.picture.shape, np.float32)
+        blurred[begin:end] = gaussian_filter(
+            np.asarray(pictures.picture[begin:end]), sigma, axes=(1, 2), mode="nearest"
         )
-    field = np.asarray(jnp.einsum("phw,pc->chw", basis, velocity))
-    change = np.asarray(jnp.einsum("phw,pc->chw", basis, acceleration))
-    return Motion(field, change, np.ones((height, width), np.float32))
+
+        def fit(
+            numbers: Float[np.ndarray, "2 8"],
+            active: Bool[np.ndarray, "2 8"],
+            blurred: Float[np.ndarray, "n h w"] = blurred,
+            interval: tuple[int, int] = (begin, end),
+            steps: int = steps,
+            enough: float = _SMALL * sigma * (0.1 if last else 1.0),
+        ) -> tuple[Float[np.ndarray, "2 8"], "_Votes"]:
+            found, votes = _fit(
+                jnp.asarray(blurred), pictures.after, jnp.asarray(interval), points, jnp.asarray(numbers),
+                jnp.asarray(active), jnp.asarray(steps), jnp.asarray(enough, jnp.float32),
+                jnp.asarray(majority, jnp.float32),
+            )  # fmt: skip
+            return np.asarray(found), votes
+
+        numbers, votes = fit(numbers, active)
+        richer = [(0, _LINEAR)] if affine else []
+        richer += [(0, _QUADRATIC)] if affine and perspective and last and where is None else []
+        for order, group in richer:
+            if not active[order, group].any() and _asked_for(votes, active, (order, group)):
+                active[order, group] = True
+                numbers, votes = fit(numbers, active)
+        if last and after.size >= 4 and _asked_for(votes, active, (1, active[0])):
+            active[1] = active[0]
+            numbers, votes = fit(numbers, active)
+    fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)
+    velocity, acceleration = np.einsum("op,pchw->ochw", numbers, fields)
+    return Motion(velocity, acceleration, np.ones((height, width), np.float32))
 
 
-@partial(jax.jit, static_argnames=("with_acceleration",))
+class _Points(NamedTuple):
+    """Where in the key frame is looked: `position` (2, n), between pixels, where the slope of bilinear interpolation is
+    that of both sides; `fields` (8, 2, n), the generators there; `block`; `region` 1, or 0 where an entry only pads."""
+
+    position: Float[np.ndarray, "2 n"]
+    fields: Float[np.ndarray, "8 2 n"]
+    block: Int[np.ndarray, " n"]
+    region: Float[np.ndarray, " n"]
+
+
+def _points(height: int, width: int, where: Bool[np.ndarray, "h w"] | None) -> _Points:
+    inner = np.ones((height - 1, width - 1), bool) if where is None else where[:-1, :-1]
+    row, column = np.nonzero(inner)
+    # Spread evenly, whatever their number (the additive recurrence by powers of the plastic number, Roberts 2018).
+    if row.size > _POINTS:
+        chosen = (row * 0.7548776662 + column * 0.5698402910) % 1 < _POINTS / row.size
+        row, column = row[chosen], column[chosen]
+    row, column = row[:_POINTS], column[:_POINTS]
+
+    def block(of: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        return (of - of.min(initial=0)) * _BLOCKS // max(int(np.ptp(of)) + 1 if of.size else 1, 1)
+
+    # One length for all pictures and regions: what was compiled once serves for each of them.
+    size = 1024
+    while size < row.size:
+        size *= 4
+    pad = (0, size - row.size)
+    row, column, block_of = (np.pad(v, pad) for v in (row, column, block(row) * _BLOCKS + block(column)))
+    position = np.stack([row, column]).astype(np.float32) + np.float32(0.5)
+    region = np.pad(np.ones(size - pad[1], np.float32), pad)
+    return _Points(position, generators(position, height, width), block_of.astype(np.int32), region)
+
+
+class _Votes(NamedTuple):
+    """At the end of a fit, over all numbers considered: `matrix` of the normal equations, and their right-hand side
+    block by block, `pull`. Order: velocity's generators, then acceleration's."""
+
+    matrix: Float[Array, "16 16"]
+    pull: Float[Array, "blocks 16"]
+
+
+# The likelihood of a false alarm is that of a χ² value above this per number (p < 10⁻⁴ for 4 numbers).
+_ASKED = 7.5
+
+
+def _asked_for(
+    votes: _Votes, active: Bool[np.ndarray, "2 8"], group: tuple[int, slice | Bool[np.ndarray, " 8"]]
+) -> bool:
+    """Would more numbers explain more than noise does? Score test (Rao, 1948), robust to noise that is not white.
+
+    How much the pull of each block varies from block to block tells how certain the whole pull is, whatever the
+    correlation of the noise within a block (White, 1982); with b blocks and p numbers, Hotelling's T² takes the place
+    of χ².
+    """
+    further = np.zeros_like(active)
+    further[group] = True
+    known, asked = np.flatnonzero(active.ravel()), np.flatnonzero(further.ravel())
+    matrix, pull = np.asarray(votes.matrix, float), np.asarray(votes.pull, float)
+    pull = pull[np.abs(pull).sum(1) > 0]
+    scale = 1 / np.sqrt(np.diag(matrix) + 1e-30)
+    matrix, pull = matrix * scale[:, None] * scale, pull * scale
+    # What is left of each block's pull when the numbers that are fitted already have answered to it.
+    answer = np.linalg.lstsq(matrix[np.ix_(known, known)], matrix[np.ix_(known, asked)], rcond=1e-9)[0]
+    left = pull[:, asked] - pull[:, known] @ answer
+    blocks, numbers = left.shape
+    if blocks < 2 * numbers:
+        return False
+    statistic = left.sum(0) @ np.linalg.pinv(left.T @ left, rcond=1e-9, hermitian=True) @ left.sum(0)
+    return bool(statistic * (blocks - numbers) / blocks > _ASKED * numbers)
+
+
+@jax.jit
 def _fit(
-    pictures: Stretches,
-    part: Float[Array, " n"],
-    region: Float[Array, "h w"],
-    basis: Float[Array, "p h w"],
-    velocity: Float[Array, "p 2"],
-    acceleration: Float[Array, "p 2"],
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
+    interval: Int[Array, " 2"],
+    points: _Points,
+    numbers: Float[Array, "2 8"],
+    active: Bool[Array, "2 8"],
     steps: Int[Array, ""],
+    enough: Float[Array, ""],
     majority: Float[Array, ""],
-    with_acceleration: bool,
-) -> tuple[Float[Array, "p 2"], Float[Array, "p 2"]]:
-    orders = 2 if with_acceleration else 1
-    unknowns = orders * 2 * basis.shape[0]
+) -> tuple[Float[Array, "2 8"], _Votes]:
+    """Gauss–Newton over the `active` numbers, with the pictures from `interval[0]` up to `interval[1]`.
 
-    def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        velocity, acceleration = carry
-        now = drift(
-            pictures.picture,
-            pictures.after,
-            part,
-            jnp.einsum("phw,pc->chw", basis, velocity),
-            jnp.einsum("phw,pc->chw", basis, acceleration),
-        )
+    Which pictures and numbers take part is data, so that one compilation serves for all.
+    """
+    count = points.region.size
+    longest = jnp.maximum(jnp.max(jnp.abs(after[jnp.stack([interval[0], interval[1] - 1])])), 1)
+    on = active.reshape(-1)
+    key_picture = pictures[jnp.argmin(jnp.abs(after))]
+    about, _, _ = _value_and_slope(key_picture, jnp.asarray(points.position))
+
+    def equations(numbers: Float[Array, "2 8"]) -> tuple[Array, Array]:
+        velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
+
+        def add(b: Array, sums: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            tau = after[b]
+            where = jnp.asarray(points.position) + tau * velocity + 0.5 * tau**2 * acceleration
+            value, slope, inside = _value_and_slope(pictures[b], where)
+            value = (value - about) * inside
+            times, values, slopes = sums
+            times = times + inside[None] * (tau ** jnp.arange(5, dtype=tau.dtype))[:, None]
+            basis = jnp.stack([jnp.ones_like(tau), tau, tau**2 / 2])[:, None] * value[None]
+            values = values + jnp.concatenate([basis, (value * value)[None]])
+            return times, values, slopes + slope * inside[None]
+
+        start = tuple(jnp.zeros((k, count), pictures.dtype) for k in (5, 4, 2))
+        times, values, slopes = jax.lax.fori_loop(interval[0], interval[1], add, start)
+        # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
+        seen = jnp.maximum(times[0], 1e-6)
+        first = jnp.stack([times[1], times[2] / 2])
+        change = values[1:3] - first * (values[0] / seen)[None]
+        square = jnp.stack([jnp.stack([times[2], times[3] / 2]), jnp.stack([times[3] / 2, times[4] / 4])])
+        spread = square - first[:, None] * first[None] / seen[None, None]
+        mismatch = jnp.maximum(values[3] - values[0] ** 2 / seen, 0) / seen
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
-        mismatch = smooth(now.residual / jnp.maximum(now.seen, 1), jnp.asarray(1.5))
-        # Every third row and column say as much about it, and sorting all of them would take as long as the rest.
-        usual = jnp.nanquantile(jnp.where(region > 0, mismatch, jnp.nan)[::3, ::3], majority)
-        usual = jnp.where(jnp.isnan(usual), jnp.sum(region * mismatch) / jnp.maximum(jnp.sum(region), 1), usual)
-        trust = region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
-        # Regressors: each basis picture times each component of the slope, once for the velocity, once for the
-        # acceleration.
-        regressors = (now.slope[:, None] * basis[None]).reshape(2 * basis.shape[0], -1)
-        weights = (now.spread * trust[None, None]).reshape(2, 2, -1)
-        matrix = jnp.concatenate(
-            [
-                jnp.concatenate([(regressors * weights[q, r][None]) @ regressors.T for r in range(orders)], axis=1)
-                for q in range(orders)
-            ]
-        )
-        right = jnp.concatenate([-regressors @ (now.change[q] * trust).reshape(-1) for q in range(orders)])
+        usual = jnp.nanquantile(jnp.where(points.region > 0, mismatch, jnp.nan), majority)
+        trust = points.region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
+        regressors = ((slopes / seen[None])[None] * points.fields).sum(1)
+        weights = spread * trust[None, None]
+        matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]
+        pull = -jnp.concatenate([regressors * (change[q] * trust)[None] for q in (0, 1)])
+        return jnp.block(matrix), pull
+
+    def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        numbers, done, _ = carry
+        matrix, pull = equations(numbers)
         # Unit diagonal: velocities and accelerations differ by orders of magnitude. A trace of damping keeps the step
         # finite where the picture has no texture.
-        scale = 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12)
-        scaled = matrix * scale[:, None] * scale[None, :] + 1e-6 * jnp.eye(unknowns, dtype=matrix.dtype)
-        update = (jnp.linalg.solve(scaled, right * scale) * scale).reshape(orders, 2, -1)
-        velocity = velocity + update[0].T
-        if with_acceleration:
-            acceleration = acceleration + update[1].T
-        return velocity, acceleration
+        scale = jnp.where(on, 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12), 0)
+        damping = jnp.where(on, 1e-6, 1).astype(matrix.dtype)
+        scaled = matrix * scale[:, None] * scale[None, :] + jnp.diag(damping)
+        update = (jnp.linalg.solve(scaled, pull.sum(1) * scale) * scale).reshape(2, -1)
+        # No generator is larger than 1 in the picture.
+        moved = longest * jnp.abs(update[0]).max() + 0.5 * longest**2 * jnp.abs(update[1]).max()
+        return numbers + update, done + 1, moved
 
-    return jax.lax.fori_loop(0, steps, step, (velocity, acceleration))
+    def go_on(carry: tuple[Array, Array, Array]) -> Array:
+        _, done, moved = carry
+        return (done < steps) & (moved > enough)
+
+    begin = (numbers, jnp.zeros_like(steps), jnp.asarray(jnp.inf, pictures.dtype))
+    numbers, _, _ = jax.lax.while_loop(go_on, step, begin)
+    matrix, pull = equations(numbers)
+    votes = jax.ops.segment_sum(pull.T, points.block, num_segments=_BLOCKS**2)
+    return numbers, _Votes(matrix, votes)
+
+
+def _value_and_slope(
+    picture: Shaped[Array, "h w"], position: Float[Array, "2 n"]
+) -> tuple[Float[Array, " n"], Float[Array, "2 n"], Float[Array, " n"]]:
+    """Bilinear interpolation, its slope, and 1 where the position lies in the picture (0 elsewhere)."""
+    height, width = picture.shape
+    row, column = position
+    inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+    row, column = jnp.where(inside, row, 0), jnp.where(inside, column, 0)
+    top = jnp.minimum(row.astype(jnp.int32), height - 2)
+    left = jnp.minimum(column.astype(jnp.int32), width - 2)
+    down, right = row - top.astype(row.dtype), column - left.astype(row.dtype)
+    corner, flat = top * width + left, picture.reshape(-1)
+    a, b, c, d = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
+    above, below = a + right * (b - a), c + right * (d - c)
+    slope = jnp.stack([below - above, (1 - down) * (b - a) + down * (d - c)])
+    return above + down * (below - above), slope, inside.astype(row.dtype)

@@ -1,6 +1,7 @@
 """Priors of the form Ψ(X) = φ(K X): what they offer to splitting methods, and their proximal step by a dual method."""
 
 import abc
+from collections.abc import Callable
 from typing import Generic
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, Float
 
+from scsr_opt.priors.checks import divisible
 from scsr_opt.priors.prior import Prior, State
 
 # A loop over unrolled parts writes its carry to memory once more each time round: unrolled as a whole where that is
@@ -89,16 +91,26 @@ class Analysis(Prior[State], Generic[State]):
 
         **Returns:** the minimiser, and the dual variable to start from next time.
         """
-        strength = jnp.asarray(strength, image.dtype)
-        # A stand-in, because 1/strength or its derivative would be infinite, and not a number behind a `where`. A
-        # strength that is itself not a number is let through, to be noticed in the result.
-        off = strength < jnp.finfo(image.dtype).tiny ** 0.5
-        positive = jnp.where(off, 1, strength)
-        step = 1 / (self.norm_squared * positive)
+        return self.prox_within(image, strength, state, lambda picture: picture)
+
+    def prox_within(
+        self,
+        image: Float[Array, "H W"],
+        strength: Float[ArrayLike, ""],
+        state: State,
+        nearest: Callable[[Float[Array, "H W"]], Float[Array, "H W"]],
+    ) -> tuple[Float[Array, "H W"], State]:
+        """The same over the pictures of a closed convex set only, `nearest` being the projection onto it.
+
+        The minimiser is then nearest(f − λK*p), and the dual objective has the same Lipschitz constant (Beck and
+        Teboulle, 2009, §4). The result is within the set after any number of steps.
+        """
+        off, strength = divisible(strength, image.dtype)
+        step = 1 / (self.norm_squared * strength)
 
         def ascend(carry: tuple[State, State], momentum: Array) -> tuple[tuple[State, State], None]:
             dual, ahead = carry
-            field = self.analysis(image - positive * self.adjoint(ahead))
+            field = self.analysis(nearest(image - strength * self.adjoint(ahead)))
             moved = self.conjugate_prox(jax.tree.map(lambda p, z: p + step * z, ahead, field), step)
             ahead = jax.tree.map(lambda new, old: new + momentum * (new - old), moved, dual)
             return (moved, ahead), None
@@ -111,16 +123,16 @@ class Analysis(Prior[State], Generic[State]):
             _momenta(self.iterations, image.dtype),
             unroll=self.iterations if self.iterations <= _UNROLL else 2,
         )
-        result = image - positive * self.adjoint(dual)
+        result = image - strength * self.adjoint(dual)
         dual = jax.tree.map(lambda old, new: jnp.where(off, old, new), state, dual)
-        return jnp.where(off, image, result), dual
+        return nearest(jnp.where(off, image, result)), dual
 
     def gap(self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: State) -> Float[Array, ""]:
         """Duality gap of the proximal problem at X = image − λK*p: how far X's objective is above the minimum, at most.
 
-        Also ½‖X − prox‖² ≤ gap. It is λ (φ(K X) + φ*(p) − ⟨K X, p⟩), for a norm a sum of terms that are not negative
-        (but for rounding), so it loses no digits to cancellation. It is 0 exactly at the minimiser, where p is a
-        subgradient.
+        Also ½‖X − prox‖² ≤ gap. It is λ (φ(K X) + φ*(p) − ⟨K X, p⟩), a sum of terms that are not negative (Fenchel
+        and Young; but for rounding), so it loses no digits to cancellation. It is 0 exactly at the minimiser, where p
+        is a subgradient.
 
         **Arguments:** `image` and `strength` as they were given to `prox`, and the `state` that it returned.
         """

@@ -1,9 +1,10 @@
 """What a prior Ψ of Eq. 4 has to offer to the solvers."""
 
 import abc
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 State = TypeVar("State")
@@ -14,7 +15,12 @@ class Prior(eqx.Module, Generic[State]):
 
     Priors are values: whatever a proximal step wants to remember from one call to the next (the dual variable of total
     variation, say) travels through `state`, so that a solver can warm-start it and nothing is hidden.
+
+    **Class variable:** `smooth`: whether Ψ has a Lipschitz-continuous gradient, that of `value`, so that methods
+    without a proximal step can be used.
     """
+
+    smooth: ClassVar[bool] = False
 
     @abc.abstractmethod
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
@@ -26,6 +32,6 @@ class Prior(eqx.Module, Generic[State]):
 
     @abc.abstractmethod
     def prox(
-        self, image: Float[Array, "H W"], strength: Float[Array, ""], state: State
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: State
     ) -> tuple[Float[Array, "H W"], State]:
         """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call."""

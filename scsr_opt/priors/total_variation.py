@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
+from scsr_opt.priors.checks import whole
 
 
 class Dual(NamedTuple):
@@ -44,12 +44,8 @@ class TotalVariation(Analysis[Dual]):
     iterations: int = eqx.field(static=True)
 
     def __init__(self, isotropic: bool = True, iterations: int = 10):
-        if iterations != int(iterations) or iterations < 1:
-            raise InputError(
-                f"TotalVariation was given {iterations} iterations; it needs a whole number of at least 1."
-            )
         self.isotropic = bool(isotropic)
-        self.iterations = int(iterations)
+        self.iterations = whole("TotalVariation", iterations, "iterations")
 
     @property
     def norm_squared(self) -> float:
@@ -67,9 +63,7 @@ class TotalVariation(Analysis[Dual]):
         """|field(p)| at each p."""
         if not self.isotropic:
             return jnp.abs(field.down) + jnp.abs(field.right)
-        square = field.down**2 + field.right**2
-        # The root's derivative at 0 is infinite; the inner `where` keeps it out of the outer one's derivative.
-        return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+        return lengths(field.down**2 + field.right**2)
 
     def conjugates(self, dual: Dual) -> Float[Array, "H W"]:
         """0: φ is a norm."""
@@ -79,8 +73,19 @@ class TotalVariation(Analysis[Dual]):
         """The nearest field within the unit ball at each pixel."""
         if not self.isotropic:
             return Dual(jnp.clip(field.down, -1, 1), jnp.clip(field.right, -1, 1))
-        shrink = jax.lax.rsqrt(jnp.maximum(field.down**2 + field.right**2, 1))
-        return Dual(field.down * shrink, field.right * shrink)
+        return to_unit_ball(field)
+
+
+def lengths(squares: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    """√, with derivative 0 at 0."""
+    # The root's derivative at 0 is infinite; the inner `where` keeps it out of the outer one's derivative.
+    return jnp.where(squares > 0, jnp.sqrt(jnp.where(squares > 0, squares, 1)), 0)
+
+
+def to_unit_ball(field: Dual) -> Dual:
+    """The nearest field whose vectors have length ≤ 1."""
+    shrink = jax.lax.rsqrt(jnp.maximum(field.down**2 + field.right**2, 1))
+    return Dual(field.down * shrink, field.right * shrink)
 
 
 def gradient(image: Float[Array, "H W"]) -> Dual:

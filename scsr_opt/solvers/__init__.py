@@ -1,27 +1,55 @@
 """Methods for Eq. 4, halved: minimise f(X) + λ Ψ(X) over pictures X.
 
-`run(FISTA(), problem, image)` is the loop that they share. `FISTA` is the one to use; `ISTA` is Eq. 5 as it stands;
-`JaxoptISTA` and `JaxoptFISTA` do the same by an independent implementation.
+`run(FISTA(), problem, image)` is the loop that they share. `FISTA` is the one to use; `ISTA` is Eq. 5 as it stands.
+`ADMM`, `CondatVu` and `ChambollePock` split the prior off by a dual variable; `NonlinearCG` and `LBFGS` (optimistix)
+are for smooth priors. `JaxoptISTA`, `JaxoptFISTA` and `JaxoptADMM` do the same by an independent implementation.
+`solution` is the minimiser as a function that can be differentiated.
 """
 
+from scsr_opt.solvers.admm import ADMM, JaxoptADMM
 from scsr_opt.solvers.iterate import Outcome, Record, Solver, run
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
+from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
+from scsr_opt.solvers.primal_dual import ChambollePock, CondatVu
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
+from scsr_opt.solvers.sensitivity import solution
+from scsr_opt.solvers.smooth import LBFGS, NonlinearCG
 from scsr_opt.solvers.solution import Result, Solution, Stage
+from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, SpectralNorm, StepSize
+from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
 
 __all__ = [
+    "ADMM",
     "FISTA",
     "ISTA",
+    "LBFGS",
+    "Backtracking",
+    "Balance",
+    "ChambollePock",
+    "CondatVu",
+    "ConjugateGradients",
+    "DualityGap",
+    "Fixed",
+    "FixedPoint",
+    "JaxoptADMM",
+    "JaxoptConjugateGradients",
     "JaxoptFISTA",
     "JaxoptISTA",
+    "LinearSolve",
+    "NonlinearCG",
+    "NormBound",
     "Outcome",
     "Problem",
     "Record",
     "Result",
     "Solution",
     "Solver",
+    "SpectralNorm",
     "Stage",
+    "StepSize",
+    "Stopping",
     "lipschitz_bound",
     "run",
+    "solution",
 ]

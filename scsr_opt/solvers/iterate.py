@@ -1,6 +1,7 @@
 """The loop that all native solvers share: jitted chunks of iterations, a record of each, early stop, progress."""
 
 import abc
+import dataclasses
 import time
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -14,6 +15,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Result, Stage
+from scsr_opt.solvers.stopping import Stopping
 
 State = TypeVar("State")
 
@@ -27,6 +29,7 @@ class Record(NamedTuple):
     data: Float[Array, "..."]
     prior: Float[Array, "..."]
     residual: Float[Array, "..."]
+    gap: Float[Array, "..."]
     step_size: Float[Array, "..."]
 
 
@@ -35,19 +38,24 @@ class Solver(eqx.Module, Generic[State]):
 
     **Fields:**
     - `iterations`: the most that are done.
-    - `tolerance`: it ends when the relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step, is below it.
+    - `stopping`: what is measured: `FixedPoint`, the relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step
+      (or a bound on it), or `DualityGap`.
+    - `tolerance`: it ends when this is not above it.
+    - `state_type`: what its states are.
     """
 
+    state_type: eqx.AbstractClassVar[type]
     iterations: eqx.AbstractVar[int]
     tolerance: eqx.AbstractVar[float | int]
+    stopping: eqx.AbstractVar[Stopping]
 
     def __check_init__(self):
         if self.iterations < 1:
             raise InputError(f"{type(self).__name__} was given {self.iterations} iterations; it needs at least 1.")
         if not self.tolerance >= 0:
             raise InputError(
-                f"{type(self).__name__} was given tolerance {self.tolerance}; it is a relative residual of at least 0 "
-                "(0: use all iterations)."
+                f"{type(self).__name__} was given tolerance {self.tolerance}; it is a relative measure of at "
+                "least 0 (0: use all iterations)."
             )
 
     @abc.abstractmethod
@@ -67,8 +75,8 @@ class Solver(eqx.Module, Generic[State]):
         """X^(t)."""
 
     @abc.abstractmethod
-    def gradient_step(self, state: State) -> Float[Array, "H W"]:
-        """R^(t) of Eq. 5, the argument of the latest proximal step."""
+    def gradient_step(self, problem: Problem, state: State) -> Float[Array, "H W"]:
+        """R^(t) of Eq. 5: the picture whose proximal step X^(t) is, or tends to be where the two are found together."""
 
 
 class Outcome(NamedTuple):
@@ -93,15 +101,29 @@ def run(
 ) -> Outcome:
     """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with that of a `similar` problem.
 
-    A value that is not finite ends the run at once; the picture before it is returned. With `keep_images` every stage
-    keeps R^(t) and X^(t), and each iteration is a chunk of its own. `tolerance` stands in for the solver's own.
+    **Arguments:**
+    - `state`: `Outcome.state` (`Solution.state`) of a run of the same solver on the same problem: what follows is what
+      would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
+    - `progress`: told of the iterations, by chunks.
+    - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
+    - `tolerance`: stands in for the solver's own.
+
+    A value that is not finite ends the run at once; the picture before it is returned.
+
+    **Errors:** `InputError` for a state of another solver or picture size, or a prior that the solver cannot use.
     """
     begin = time.perf_counter()
-    iterations, enough = solver.iterations, jnp.float32(solver.tolerance if tolerance is None else tolerance)
+    iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
+    solver.stopping.check(problem.prior)
     # The limits are handed over apart, so that other limits compile nothing anew.
-    solver = eqx.tree_at(lambda s: (s.iterations, s.tolerance), solver, (1, 0.0))
-    if state is None:
-        state = _init(solver, problem, image) if similar is None else _warm(solver, problem, similar)
+    solver = dataclasses.replace(solver, iterations=1, tolerance=0.0)
+    if state is not None:
+        _check_state(solver, problem, state)
+    elif similar is not None:
+        _check_state(solver, problem, similar)
+        state = _warm(solver, problem, similar)
+    else:
+        state = _init(solver, problem, image)
     chunk = 1 if keep_images else CHUNK
     stages: list[Stage] = []
     result = Result.iterations_exhausted
@@ -109,32 +131,50 @@ def run(
         progress.start(iterations, "solving")
     try:
         while len(stages) < iterations:
-            most = jnp.asarray(min(chunk, iterations - len(stages)), jnp.int32)
-            state, records, done, finite, met = _advance(solver, problem, state, most, enough, chunk)
-            done, seconds = int(done), time.perf_counter() - begin
+            before, most = state, np.int32(min(chunk, iterations - len(stages)))
+            state, *seen = _advance(solver, problem, before, most, enough, chunk)
+            table, done, finite, met = jax.device_get(seen)
+            seconds = time.perf_counter() - begin
+            if not finite:
+                # Rather than that every iteration keeps the one before it: the same way once more, but for its last.
+                state = _advance(solver, problem, before, np.int32(done - 1), enough, chunk)[0]
             pictures: dict[str, Any] = {}
             if keep_images:
                 pictures = {
                     "image": np.asarray(solver.image(state)),
-                    "gradient_step": np.asarray(solver.gradient_step(state)),
+                    "gradient_step": np.asarray(solver.gradient_step(problem, state)),
                 }
-            table = np.stack([np.asarray(column)[:done] for column in records], axis=1).astype(float)
-            for data, prior, residual, step_size in table:
+            for row in table[:done].tolist():
+                data, prior, residual, gap, step_size = row
                 stages.append(
-                    Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures)
+                    Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures, gap=gap)
                 )
             if progress is not None:
-                progress.advance(done)
-            if not bool(finite):
+                progress.advance(int(done))
+            if not finite:
                 result = Result.non_finite
                 break
-            if bool(met):
+            if met:
                 result = Result.converged
                 break
     finally:
         if progress is not None:
             progress.finish()
     return Outcome(np.asarray(solver.image(state)), tuple(stages), result, state)
+
+
+def _check_state(solver: Solver, problem: Problem, state: Any) -> None:
+    name = type(solver).__name__
+    if not isinstance(state, solver.state_type):
+        raise InputError(
+            f"{name} was given a state of type {type(state).__name__}; it goes on from a {solver.state_type.__name__}, "
+            "the state of a solution that the same solver found."
+        )
+    shape = solver.image(state).shape
+    if shape != problem.data.shape:
+        raise InputError(
+            f"{name} was given the state of a picture of shape {shape}; those of the problem are {problem.data.shape}."
+        )
 
 
 @eqx.filter_jit
@@ -152,26 +192,25 @@ def _advance(
     solver: Solver[State],
     problem: Problem,
     state: State,
-    most: Int[Array, ""],
-    tolerance: Float[Array, ""],
+    most: Int[Array | np.int32, ""],
+    tolerance: Float[Array | np.float32, ""],
     chunk: int,
-) -> tuple[State, Record, Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
+) -> tuple[State, Float[Array, "chunk _"], Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
     """Up to `most` ≤ `chunk` iterations: the state, their records, how many, all finite?, tolerance met?"""
     dtype = problem.data.target.dtype
-    records = Record(*(jnp.zeros(chunk, dtype) for _ in Record._fields))
+    enough = jnp.asarray(tolerance, dtype)
 
     def go_on(carry):
         _, _, done, finite, met = carry
         return (done < most) & finite & ~met
 
     def one(carry):
-        before, records, done, _, _ = carry
-        after, record = solver.step(problem, before)
+        state, table, done, _, _ = carry
+        state, record = solver.step(problem, state)
         finite = jnp.isfinite(record.data + record.prior + record.residual)
-        met = finite & (record.residual <= tolerance.astype(dtype))
-        state = jax.tree.map(lambda new, old: jnp.where(finite, new, old), after, before)
-        records = Record(*(column.at[done].set(value) for column, value in zip(records, record, strict=True)))
-        return state, records, done + 1, finite, met
+        met = finite & (solver.stopping.measure(record.residual, record.gap) <= enough)
+        return state, table.at[done].set(jnp.stack(record)), done + 1, finite, met
 
-    begin = (state, records, jnp.zeros((), jnp.int32), jnp.asarray(True), jnp.asarray(False))
+    table = jnp.zeros((chunk, len(Record._fields)), dtype)
+    begin = (state, table, jnp.zeros((), jnp.int32), jnp.asarray(True), jnp.asarray(False))
     return jax.lax.while_loop(go_on, one, begin)

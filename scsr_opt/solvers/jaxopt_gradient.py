@@ -27,6 +27,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.stopping import FixedPoint, Stopping
 
 
 class JaxoptState(NamedTuple):
@@ -40,11 +41,14 @@ class JaxoptState(NamedTuple):
 
 
 class _Jaxopt(Solver[JaxoptState]):
+    state_type: ClassVar[type] = JaxoptState
     _accelerated: eqx.AbstractClassVar[bool]
 
     iterations: int = 100
     tolerance: float | int = 3e-4
     inner_iterations: int = 100
+    # Always so: a proximal step without memory leaves no dual variable to compute a gap from.
+    stopping: Stopping = eqx.field(default=FixedPoint(), init=False)
 
     def __check_init__(self):
         if self.inner_iterations < 1:
@@ -66,12 +70,14 @@ class _Jaxopt(Solver[JaxoptState]):
         size = jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny)
         residual = jnp.linalg.norm(image - ahead) / size
         value, prior = problem.data.value(image), problem.strength * problem.prior.value(image)
-        return JaxoptState(image, ahead - β * inner.aux, inner, β), Record(value, prior, residual, β)
+        return JaxoptState(image, ahead - β * inner.aux, inner, β), Record(
+            value, prior, residual, jnp.full_like(residual, jnp.nan), β
+        )
 
     def image(self, state: JaxoptState) -> Float[Array, "H W"]:
         return state.image
 
-    def gradient_step(self, state: JaxoptState) -> Float[Array, "H W"]:
+    def gradient_step(self, problem: Problem, state: JaxoptState) -> Float[Array, "H W"]:
         return state.gradient_step
 
     def _method(self, problem: Problem, step_size: Float[Array, ""]) -> Any:

@@ -1,17 +1,22 @@
 """ISTA and FISTA: Eq. 5 of the paper, plain and accelerated."""
 
-from typing import Any, NamedTuple
+import abc
+from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt.priors.analysis import Analysis
 from scsr_opt.solvers.iterate import Record, Solver
-from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.step_size import NormBound, StepSize
+from scsr_opt.solvers.stopping import Evidence, FixedPoint, Stopping, misfit, relative
 
 
 class ProximalGradientState(NamedTuple):
     """Changes every iteration: `image`, `gradient` of f there, `ahead` (where the next step starts), `ahead_gradient`,
-    `gradient_step` R, `momentum` t, `objective` F and the prior's state. Fixed when the run begins: `step_size`."""
+    `gradient_step` R, `momentum` t, `objective` F, the prior's state and `step_size` β."""
 
     image: Float[Array, "H W"]
     gradient: Float[Array, "H W"]
@@ -24,9 +29,24 @@ class ProximalGradientState(NamedTuple):
     step_size: Float[Array, ""]
 
 
+class _Step(NamedTuple):
+    """A proximal-gradient step that is tried: from `gradient_step` to `image`."""
+
+    step_size: Float[Array, ""]
+    gradient_step: Float[Array, "H W"]
+    image: Float[Array, "H W"]
+    prior: Any
+    data: Float[Array, ""]
+    gradient: Float[Array, "H W"]
+
+
 class _ProximalGradient(Solver[ProximalGradientState]):
+    state_type: ClassVar[type] = ProximalGradientState
+
     iterations: int = 200
     tolerance: float | int = 1e-4
+    stopping: Stopping = FixedPoint()
+    step_size: StepSize = NormBound()
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
         gradient = problem.data.gradient(image)
@@ -39,54 +59,91 @@ class _ProximalGradient(Solver[ProximalGradientState]):
             momentum=jnp.ones((), image.dtype),
             objective=jnp.full((), jnp.inf, image.dtype),
             prior=problem.prior.initial_state(image),
-            step_size=1 / lipschitz_bound(problem.data),
+            step_size=self.step_size.first(problem),
         )
 
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
-        β = state.step_size
-        gradient_step = state.ahead - β * state.ahead_gradient
-        image, prior = problem.prior.prox(gradient_step, β * problem.strength, state.prior)
-        value, gradient = problem.data.value_and_gradient(image)
-        penalty = problem.strength * problem.prior.value(image)
-        momentum, extrapolation = self._extrapolation(state, image, value + penalty)
+        step = self._step(problem, state)
+        image, β = step.image, step.step_size
+        residual = relative(jnp.linalg.norm(image - state.ahead), image)
+        penalty, evidence = _evidence(problem, step, residual)
+        momentum, extrapolation = self._extrapolation(state, image, evidence.objective)
         # f is quadratic, so its gradient at the point ahead follows from two known ones; the application of M that this
         # saves has given f at the picture itself instead, for the record.
         following = ProximalGradientState(
             image=image,
-            gradient=gradient,
+            gradient=step.gradient,
             ahead=image + extrapolation * (image - state.image),
-            ahead_gradient=gradient + extrapolation * (gradient - state.gradient),
-            gradient_step=gradient_step,
+            ahead_gradient=step.gradient + extrapolation * (step.gradient - state.gradient),
+            gradient_step=step.gradient_step,
             momentum=momentum,
-            objective=value + penalty,
-            prior=prior,
+            objective=evidence.objective,
+            prior=step.prior,
             step_size=β,
         )
-        size = jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny)
-        residual = jnp.linalg.norm(image - state.ahead) / size
-        return following, Record(value, penalty, residual, β)
+        return following, Record(step.data, penalty, residual, self.stopping.gap(evidence), β)
 
     def image(self, state: ProximalGradientState) -> Float[Array, "H W"]:
         return state.image
 
-    def gradient_step(self, state: ProximalGradientState) -> Float[Array, "H W"]:
+    def gradient_step(self, problem: Problem, state: ProximalGradientState) -> Float[Array, "H W"]:
         return state.gradient_step
 
     def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
         return self.init(problem, state.image)._replace(prior=state.prior)
 
+    def _step(self, problem: Problem, state: ProximalGradientState) -> _Step:
+        """From the point ahead, with a step size that is short enough."""
+
+        def attempt(β: Array) -> _Step:
+            gradient_step = state.ahead - β * state.ahead_gradient
+            image, prior = problem.prior.prox(gradient_step, β * problem.strength, state.prior)
+            return _Step(β, gradient_step, image, prior, *problem.data.value_and_gradient(image))
+
+        def curvature(step: _Step) -> Float[Array, ""]:
+            moved = step.image - state.ahead
+            square = jnp.maximum(jnp.sum(moved**2), jnp.finfo(moved.dtype).tiny)
+            return jnp.sum(moved * (step.gradient - state.ahead_gradient)) / square
+
+        def too_long(step: _Step) -> Any:
+            return self.step_size.too_long(step.step_size, curvature(step))
+
+        step = attempt(self.step_size.trial(state.step_size))
+        if too_long(step) is None:
+            return step
+        return jax.lax.while_loop(
+            too_long, lambda step: attempt(self.step_size.shorter(step.step_size, curvature(step))), step
+        )
+
+    @abc.abstractmethod
     def _extrapolation(
-        self, state: ProximalGradientState, image: Float[Array, "H W"], objective: Float[Array, ""]
+        self,
+        state: ProximalGradientState,
+        image: Float[Array, "H W"],
+        objective: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The next t, and how far to go ahead along the latest change."""
-        raise NotImplementedError
+
+
+def _evidence(problem: Problem, step: _Step, residual: Float[Array, ""]) -> tuple[Float[Array, ""], Evidence]:
+    """λΨ(X), and what the step tells of X. What is not measured of it is not computed, either."""
+    λ, prior = problem.strength, problem.prior
+    # X = R − βλK*p, p the prior's state.
+    slope = step.gradient + (step.gradient_step - step.image) / step.step_size
+    if isinstance(prior, Analysis):
+        penalty, off = misfit(prior, prior.analysis(step.image), step.prior)
+        return λ * penalty, Evidence(step.image, step.data + λ * penalty, slope, λ * off, residual)
+    penalty = λ * prior.value(step.image)
+    return penalty, Evidence(step.image, step.data + penalty, slope, None, residual)
 
 
 class ISTA(_ProximalGradient):
     """Iterative shrinkage-thresholding: X ← prox(X − β∇f(X)), Eq. 5 as it stands.
 
     The objective decreases in every iteration for β ≤ 1/L (L the Lipschitz constant of ∇f), as O(1/t) (Beck and
-    Teboulle, 2009). β is 1 over a certain upper bound of L. For comparison and study; FISTA needs far fewer iterations.
+    Teboulle, 2009). For comparison and study; FISTA needs far fewer iterations.
+
+    **Fields:** `iterations`, `tolerance`, `stopping`: as of every `Solver`. `step_size`: how β is chosen.
     """
 
     def _extrapolation(self, state, image, objective):
@@ -99,6 +156,9 @@ class FISTA(_ProximalGradient):
 
     The prior's state (total variation's dual variable) is carried from one proximal step to the next. A proximal step
     that is not exact, as total variation's, is what momentum may add up; the second test is what ends that.
+
+    **Fields:** as of `ISTA`. The rate is proved for step sizes that do not grow; where `Backtracking` lets them, the
+    second restart ends what goes wrong.
     """
 
     def _extrapolation(self, state, image, objective):

@@ -1,122 +1,24 @@
 """The solvers against an independent float64 solution of one small problem, and the loop around them."""
 
-import itertools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.linalg
-import scipy.sparse
 
-from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
-from scsr_opt.motion.trajectory import Motion, trajectory_of
-from scsr_opt.operators import accumulate, place
 from scsr_opt.priors import TotalVariation
 from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Outcome, Problem, Result, lipschitz_bound, run
 from scsr_opt.solvers import iterate as loop
 
 SOLVERS = {"ISTA": ISTA, "FISTA": FISTA, "jaxopt ISTA": JaxoptISTA, "jaxopt FISTA": JaxoptFISTA}
-SENSOR, SCALE, KEY = (12, 16), 2, 12
-SHAPE = (24, 32)
-VELOCITY = (0.13, -0.21)
-STRENGTH = 0.02
-
-
-@pytest.fixture(autouse=True, scope="module")
-def quick_compilation():
-    """A picture of 768 pixels: nearly all the time here is compilation."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
-
-
-class Case(NamedTuple):
-    """½ Σ ω (A x − y)² + λ TV(x), with its dense matrix in float64, and the same as a `Problem`."""
-
-    matrix: np.ndarray
-    weight: np.ndarray
-    value: np.ndarray
-    problem: Problem
-    start: jax.Array
-
-    def objective(self, image: np.ndarray) -> float:
-        off = self.matrix @ np.asarray(image, float).ravel() - self.value
-        return 0.5 * float(self.weight @ off**2) + STRENGTH * total_variation(np.asarray(image, float))
-
-
-def total_variation(image: np.ndarray) -> float:
-    down = np.diff(image, axis=0, append=image[-1:])
-    right = np.diff(image, axis=1, append=image[:, -1:])
-    return float(np.hypot(down, right).sum())
 
 
 @pytest.fixture(scope="module")
-def case() -> Case:
-    """Blocks of four pixels, seen by 2,000 noisy samples at as many sub-pixel shifts."""
-    rng = np.random.default_rng(0)
-    number = 2000
-    time = rng.uniform(0, 2 * KEY - 1, number).astype(np.float32)
-    row, column = (rng.integers(0, size, number) for size in SENSOR)
-    truth = np.kron(rng.uniform(0.1, 1, (SHAPE[0] // 4, SHAPE[1] // 4)), np.ones((4, 4)))
-    weight = rng.uniform(0.5, 1.5, number) * math.prod(SENSOR) / number
-    matrix = np.zeros((number, *SHAPE))
-    for j in range(number):
-        after = float(time[j]) - KEY
-        y, x = SCALE * (row[j] - VELOCITY[0] * after), SCALE * (column[j] - VELOCITY[1] * after)
-        if not (0 <= y <= SHAPE[0] - SCALE and 0 <= x <= SHAPE[1] - SCALE):
-            weight[j] = 0
-            continue
-        top, left = math.floor(y), math.floor(x)
-        for i, k in itertools.product((0, 1), (0, 1)):
-            share = (y - top if i else 1 - y + top) * (x - left if k else 1 - x + left)
-            matrix[j, top + i : top + i + SCALE, left + k : left + k + SCALE] += share / SCALE**2
-    matrix = matrix.reshape(number, -1)
-    value = (matrix @ truth.ravel() + 0.05 * rng.normal(size=number)).astype(np.float32)
-    weight = weight.astype(np.float32)
-    samples = Samples(row.astype(np.int32), column.astype(np.int32), time, time, value, weight)
-    velocity = np.broadcast_to(np.array(VELOCITY, np.float32)[:, None, None], (2, *SENSOR))
-    path = trajectory_of(Motion.of_velocity(velocity), key=KEY, start=0, stop=2 * KEY)
-    term = accumulate(place(jax.tree.map(jnp.asarray, samples), path, scale=SCALE, positions=1, shape=SHAPE))
-    problem = Problem(term, TotalVariation(), jnp.float32(STRENGTH))
-    return Case(matrix, weight.astype(float), value.astype(float), problem, jnp.full(SHAPE, 0.5))
-
-
-@pytest.fixture(scope="module")
-def minimum(case: Case) -> np.ndarray:
-    """By ADMM on z = ∇x, with a factorised dense matrix: shares nothing with what is tested."""
-    height, width = SHAPE
-    steps = [np.eye(n, k=1) - np.diag(np.r_[np.ones(n - 1), 0.0]) for n in SHAPE]
-    down = scipy.sparse.csr_array(np.kron(steps[0], np.eye(width)))
-    right = scipy.sparse.csr_array(np.kron(np.eye(height), steps[1]))
-    rho = 2.0
-    normal = (case.matrix.T * case.weight) @ case.matrix
-    factor = scipy.linalg.cho_factor(normal + rho * (down.T @ down + right.T @ right).toarray())
-    constant = case.matrix.T @ (case.weight * case.value)
-    z, u = np.zeros((2, 2, height * width))
-    x, before = np.zeros(height * width), np.ones(height * width)
-    for _ in range(5000):
-        x = scipy.linalg.cho_solve(factor, constant + rho * (down.T @ (z[0] - u[0]) + right.T @ (z[1] - u[1])))
-        slope = np.stack([down @ x, right @ x])
-        length = np.maximum(np.hypot(*(slope + u)), 1e-30)
-        z = (slope + u) * np.maximum(0, 1 - STRENGTH / rho / length)
-        u = u + slope - z
-        # Ten times stricter changes the objective by 5e-9.
-        if np.abs(x - before).max() < 1e-7 and np.abs(slope - z).max() < 1e-7:
-            break
-        before = x
-    else:
-        pytest.fail("the reference solution did not converge")
-    return x.reshape(SHAPE)
-
-
-@pytest.fixture(scope="module")
-def solved(case: Case) -> dict[str, Outcome]:
+def solved(case) -> dict[str, Outcome]:
     """Each solver run for 200 iterations, whatever the residual."""
     return {name: run(make(iterations=200, tolerance=0), case.problem, case.start) for name, make in SOLVERS.items()}
 
@@ -139,7 +41,7 @@ def test_all_solvers_find_the_same_minimum(name, case, minimum, solved):
 
 
 def test_the_problem_itself_is_the_written_out_one(case, minimum):
-    value = float(case.problem.data.value(jnp.asarray(minimum, jnp.float32))) + STRENGTH * total_variation(minimum)
+    value = float(case.problem.data.value(jnp.asarray(minimum, jnp.float32))) + case.penalty(minimum)
     assert value == pytest.approx(case.objective(minimum), rel=2e-5)
 
 
@@ -194,7 +96,7 @@ def test_records_are_those_of_the_pictures(name, case):
     for stage, without in zip(outcome.stages, plain.stages, strict=True):
         assert stage.image is not None and stage.gradient_step is not None and without.image is None
         assert stage.objective == stage.data + stage.prior
-        assert stage.prior == pytest.approx(STRENGTH * total_variation(np.asarray(stage.image, float)), rel=1e-5)
+        assert stage.prior == pytest.approx(case.penalty(stage.image), rel=1e-5)
         assert stage.objective == pytest.approx(case.objective(stage.image), rel=4e-5)
         assert stage.objective == pytest.approx(without.objective, rel=1e-6)
         assert stage.step_size == pytest.approx(1 / float(lipschitz_bound(case.problem.data)), rel=1e-6)
@@ -248,7 +150,7 @@ def test_without_a_prior_it_is_least_squares(name, case):
     off = case.matrix @ np.asarray(outcome.image, float).ravel() - case.value
     assert last.data == pytest.approx(0.5 * case.weight @ off**2, rel=1e-4)
     slope = case.matrix.T @ (case.weight * off)
-    at_start = case.matrix.T @ (case.weight * (case.matrix @ np.full(math.prod(SHAPE), 0.5) - case.value))
+    at_start = case.matrix.T @ (case.weight * (case.matrix @ np.asarray(case.start, float).ravel() - case.value))
     assert np.linalg.norm(slope) < 0.02 * np.linalg.norm(at_start)
 
 
@@ -321,6 +223,14 @@ def test_jaxopt_uses_more_inner_iterations_where_the_prior_has_few():
     patient = JaxoptFISTA(inner_iterations=70)._patient(prior)
     assert patient == TotalVariation(isotropic=False, iterations=70)
     assert JaxoptFISTA(inner_iterations=2)._patient(prior) is prior
+
+
+def test_a_state_of_another_solver_or_size_is_refused(case):
+    with pytest.raises(InputError, match="a state of type JaxoptState"):
+        run(FISTA(), case.problem, case.start, state=JaxoptFISTA().init(case.problem, case.start))
+    state = FISTA().init(case.problem, case.start)
+    with pytest.raises(InputError, match=r"shape \(3, 4\)"):
+        run(FISTA(), case.problem, case.start, similar=state._replace(image=jnp.zeros((3, 4))))
 
 
 def test_the_loop_is_shared():

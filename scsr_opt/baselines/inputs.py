@@ -1,0 +1,106 @@
+"""What every baseline is handed, checked once and for all in the same way."""
+
+import math
+import operator
+from typing import NamedTuple, SupportsFloat, SupportsIndex
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy.typing import ArrayLike
+
+from scsr_opt.camera.recording import Recording
+from scsr_opt.errors import InputError
+from scsr_opt.motion.estimate import filled
+
+
+class Part(NamedTuple):
+    """The part of a recording around its key frame that a baseline looks at.
+
+    **Fields:**
+    - `spikes`: (T, h, w), 0 and 1; all 0 in bad pixels.
+    - `key`: index of the key frame in `spikes`.
+    - `scale`: s ≥ 1.
+    - `white_rate`: spikes per frame of a pixel at intensity 1.
+    - `readout_rate`: spike frames per second.
+    - `bad_pixels`: (h, w), true where nothing is known; None if all pixels are good.
+    """
+
+    spikes: UInt8[np.ndarray, "T h w"]
+    key: int
+    scale: int
+    white_rate: float
+    readout_rate: float
+    bad_pixels: Bool[np.ndarray, "h w"] | None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the picture."""
+        return self.scale * self.spikes.shape[1], self.scale * self.spikes.shape[2]
+
+    def repaired(self, picture: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        """A playback with its bad pixels filled in from their neighbours."""
+        if self.bad_pixels is None or not self.bad_pixels.any():
+            return picture
+        return np.asarray(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
+
+
+def part_of(
+    spikes: ArrayLike | Recording,
+    *,
+    scale: SupportsIndex,
+    key: SupportsIndex | None,
+    white_rate: SupportsFloat | None,
+    frames: SupportsIndex,
+) -> Part:
+    """The `frames` frames around the key frame (fewer, if the recording has fewer), checked.
+
+    **Arguments:** as those of `scsr_opt.reconstruct`; the defaults of `key` and `white_rate`, too.
+
+    **Raises:** `InputError` if one of them cannot be used.
+    """
+    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
+    scale = whole(scale, "scale", 1)
+    key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
+    rate = recording.white_rate if white_rate is None else positive(white_rate, "white_rate", "spikes per frame")
+    start, stop = recording.around(key, whole(frames, "frames", 1))
+    stream, bad = recording.window(start, stop), recording.bad_pixels
+    if bad is not None:
+        stream[:, bad] = 0  # whatever they fired, nothing after this line knows
+    return Part(stream, key - start, scale, rate, recording.readout_rate, bad)
+
+
+def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
+    """`value` as an int from `least` to `most`, or an `InputError` that names it."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or number < least or (most is not None and number > most):
+        limits = f"at least {least}" if most is None else f"from {least} to {most}"
+        raise InputError(f"{name} is {value!r}; it must be a whole number, {limits}.")
+    return number
+
+
+def positive(value: SupportsFloat, name: str, unit: str) -> float:
+    """`value` as a finite float above 0, or an `InputError` that names it."""
+    number = real(value)
+    if not (math.isfinite(number) and number > 0):
+        raise InputError(f"{name} is {value!r}; it must be a finite number above 0, in {unit}.")
+    return number
+
+
+def not_negative(value: SupportsFloat, name: str, unit: str) -> float:
+    """`value` as a finite float of at least 0, or an `InputError` that names it."""
+    number = real(value)
+    if not (math.isfinite(number) and number >= 0):
+        raise InputError(f"{name} is {value!r}; it must be a finite number of at least 0, in {unit}.")
+    return number
+
+
+def real(value: SupportsFloat) -> float:
+    """`value` as a float, NaN if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,0 +1,190 @@
+"""Multi-frame baselines: shift-and-add, and motion-guided super-resolution (MGSR)."""
+
+from collections.abc import Sequence
+from typing import SupportsFloat, SupportsIndex
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
+
+from scsr_opt.baselines.inputs import Part, part_of
+from scsr_opt.baselines.playbacks import tfp_picture
+from scsr_opt.baselines.solving import solved
+from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.motion.estimate import Dense, estimate_motion, given
+from scsr_opt.motion.estimator import Estimator
+from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.operators.sampling import place
+from scsr_opt.report.figures import bicubic
+
+# Spike frames used around the key frame, as `reconstruct` uses them.
+FRAMES = 101
+
+
+def shift_and_add(
+    spikes: ArrayLike | Recording,
+    *,
+    scale: SupportsIndex,
+    key: SupportsIndex | None = None,
+    white_rate: SupportsFloat | None = None,
+    velocity: ArrayLike | Sequence[float] | Estimator | None = None,
+) -> Float[np.ndarray, "H W"]:
+    """Every measurement put where it belongs on the fine grid, and averaged there (Elad and Hel-Or, 2001; Farsiu,
+    Robinson, Elad and Milanfar, 2004).
+
+        U(P) = Σ_j ω_j Y_j b(P − P_j) / Σ_j ω_j b(P − P_j)
+
+    Y_j is the intensity over a spike interval, ω_j its length, P_j the HR position in the key frame of what its pixel
+    saw in the middle of it, and b the bilinear weight. (Both papers add whole pictures and round their shifts to the
+    fine grid; intervals have a shift each, and bilinear weights move nothing by what rounding loses. Farsiu et al. take
+    the median, which is for outliers.) Pixels that no measurement fell on, or hardly any, take a Gaussian mean
+    of those around, of the smallest width that finds some.
+
+    U is the picture blurred by a sensor pixel and by the motion during the intervals. Both papers deblur it in a second
+    step; that is left out here.
+
+    **Arguments:**
+    - `spikes`, `scale`, `key`, `white_rate`: as `tfp_bicubic`. 101 frames around the key frame are used; bad pixels are
+      left out.
+    - `velocity`: as that of `reconstruct`: known motion, or an `Estimator`; `Automatic` if not given.
+
+    **Returns:** (s·h, s·w) float32, intensity 1 = white.
+
+    **Raises:** `InputError` if something handed in cannot be used.
+    """
+    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
+    motion = _motion(part, velocity)
+    samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels).padded()
+    path = trajectory_of(motion, key=part.key, start=0, stop=len(part.spikes))
+    found = path.at(*(jnp.asarray(v) for v in (samples.row, samples.column, (samples.start + samples.stop) / 2)))
+    row, column, seen = (np.asarray(v, np.float64) for v in found)
+    weight = np.asarray(samples.weight) * seen
+    centre = np.stack([row, column]) * part.scale + (part.scale - 1) / 2
+    total, weights = _splat(centre, np.stack([weight * samples.value, weight]), part.shape)
+    if not weights.any():  # nothing was measured: nothing to interpolate between
+        return bicubic(tfp_picture(part), part.scale)
+    return _filled(total, weights, part.scale)
+
+
+def _splat(
+    position: Float[np.ndarray, "2 n"], values: Float[np.ndarray, "c n"], shape: tuple[int, int]
+) -> Float[np.ndarray, "c H W"]:
+    """Σ_j values_j b(P − position_j) at every pixel P; positions outside the pixels' centres are left out."""
+    height, width = shape
+    limit = np.array([[height - 1], [width - 1]])
+    inside = ((position >= 0) & (position <= limit)).all(0)
+    position, values = position[:, inside], values[:, inside]
+    first = np.floor(position).astype(np.int64)
+    down, right = position - first
+    sums = np.zeros((len(values), height * width))
+    for below, beside in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        tap = (down if below else 1 - down) * (right if beside else 1 - right)
+        # Past the last row or column the tap is 0.
+        row, column = np.minimum(first[0] + below, height - 1), np.minimum(first[1] + beside, width - 1)
+        for sum_, value in zip(sums, values, strict=True):
+            sum_ += np.bincount(row * width + column, value * tap, height * width)
+    return sums.reshape(-1, height, width)
+
+
+# Frames of exposure below which a pixel rather takes what is around it; below which, in the mean over a neighbourhood,
+# that takes what is around it in turn; and the widths of these neighbourhoods in sensor pixels, the widest first. What
+# has nothing within the widest takes the mean of the whole picture.
+_FEW, _FEW_AROUND = 0.5, 0.005
+_WIDTHS = (4.0, 1.0, 0.4)
+
+
+def _filled(total: Float[np.ndarray, "H W"], weight: Float[np.ndarray, "H W"], scale: int) -> Float[np.ndarray, "H W"]:
+    """total / weight, and where there is little weight, normalised Gaussian means (Knutsson and Westin, 1993)."""
+    around = np.full(total.shape, total.sum() / weight.sum())
+    for width in _WIDTHS:
+        near, share = (gaussian_filter(v, width * scale) for v in (total, weight))
+        around = (near + _FEW_AROUND * around) / (share + _FEW_AROUND)
+    return ((total + _FEW * around) / (weight + _FEW)).astype(np.float32)
+
+
+# λ = _SMOOTHING · √(noise / frames) · 2/s, found on stills of scikit-image (docs/baselines.md).
+_SMOOTHING = 0.08
+# Length of an exposure, in high-resolution pixels, from which on it is sampled at three positions.
+_LONG = 0.75
+
+
+def mgsr(
+    spikes: ArrayLike | Recording,
+    *,
+    scale: SupportsIndex,
+    key: SupportsIndex | None = None,
+    white_rate: SupportsFloat | None = None,
+    velocity: ArrayLike | Sequence[float] | Estimator | None = None,
+) -> Float[np.ndarray, "H W"]:
+    """Motion-guided super-resolution (MGSR), the classical predecessor of the paper's network, as far as it is known
+    here: Zhao, Xie, Xiong, Zhang, Yu and Huang, "Super Resolve Dynamic Scene from Continuous Spike Streams", ICCV 2021.
+
+    Between two spikes of a pixel exactly θ of light fell on it, and along the motion that light came from a known path
+    over the HR picture. Every spike is an equation:
+
+        ∫_{t_{k−1}}^{t_k} (D_s T_{key→t} X)(p) dt = θ        (light intensity and each spike)
+        minimise over X   ½ Σ_k n_k (mean of (D_s T X)(p) over the interval − θ/n_k)² + λ TV(X)
+
+    with n_k the interval's length in frames, divided by those of the recording.
+
+    *What was read and what was assumed.* Read were the abstract and the first lines of the paper, the opening of a
+    reader's notes on it, and what later papers of the group say of it. Not read was its method section, and no public
+    code of it was found. Stated there: HR intensity is recovered from LR spikes; the relative motion of camera and
+    objects tells which points of the scene a pixel's spikes speak of; from it follows a relation between the light
+    intensity and each spike, and the picture from these relations; "complex optimization and rigorous assumptions
+    (e.g. motion consistency)" limit it (Zhao et al., AAAI 2023). Assumed here, in each case what is usual for a method
+    of its kind: optical flow gives a velocity for each pixel (the best of the dense estimates here, `Dense`); a surface
+    keeps it over the recording (consistency) and nothing hides anything; least squares in which every frame counts the
+    same; total variation as the regularisation, its strength by the noise; 101 frames, as `reconstruct`. So a figure of
+    this function is that of a fair method of this description, not of the authors' implementation.
+
+    What `reconstruct` has beside it: the simplest motion that the recording does not contradict, with acceleration,
+    motion boundaries and occlusion, and all that was built since.
+
+    **Arguments:**
+    - `spikes`, `scale`, `key`, `white_rate`: as `tfp_bicubic`. 101 frames around the key frame are used; bad pixels are
+      left out.
+    - `velocity`: known motion or an `Estimator`, as that of `reconstruct`; `Dense` if not given.
+
+    **Returns:** (s·h, s·w) float32, intensity 1 = white.
+
+    **Raises:** `InputError` if something handed in cannot be used.
+    """
+    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
+    frames = len(part.spikes)
+    motion = _motion(part, Dense() if velocity is None else velocity)
+    motion = Motion.of_velocity(motion.velocity)  # the assumptions: it keeps its velocity and hides nothing
+    samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels)
+    strength = _SMOOTHING * (_interval_noise(samples) / frames) ** 0.5 * 2 / part.scale
+    path = trajectory_of(motion, key=part.key, start=0, stop=frames)
+    moved = part.scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
+    long = moved.size > 0 and float(np.quantile(moved, 0.9)) > _LONG
+    samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
+    placed = place(
+        jax.tree.map(jnp.asarray, samples), path, scale=part.scale, positions=3 if long else 1, shape=part.shape
+    )
+    return solved(placed, bicubic(tfp_picture(part), part.scale), strength)
+
+
+def _motion(part: Part, velocity: ArrayLike | Sequence[float] | Estimator | None) -> Motion:
+    if velocity is None or isinstance(velocity, Estimator):
+        return estimate_motion(
+            part.spikes, key=part.key, white_rate=part.white_rate, estimator=velocity, bad_pixels=part.bad_pixels
+        )
+    return given(velocity, *part.spikes.shape[1:])
+
+
+def _interval_noise(samples: Samples) -> float:
+    """Variance of an interval's intensity, times its frames, from how much neighbouring intervals of a pixel differ."""
+    value, length = np.asarray(samples.value), np.asarray(samples.weight)
+    follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
+    if not follows.any():
+        return 1e-3
+    noise = ((value[1:] - value[:-1]) ** 2 * (length[1:] + length[:-1]) / 4)[follows]
+    # Passing edges are not noise; and spikes are counted in whole frames, so that there always is some.
+    return max(float(np.minimum(noise, np.quantile(noise, 0.9)).mean()), 1e-3)

@@ -1,0 +1,41 @@
+"""What the priors ask of their arguments, in one place and one wording; and a strength that may be divided by."""
+
+import math
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike, DTypeLike
+from jaxtyping import Array, Bool, Float
+
+from scsr_opt.errors import InputError
+
+
+def whole(owner: str, given: float | int, what: str) -> int:
+    """`given` as an int.
+
+    **Errors:** `InputError` unless it is a whole number of at least 1.
+    """
+    if not math.isfinite(given) or given != int(given) or given < 1:
+        raise InputError(f"{owner} was given {given} {what}; it needs a whole number of at least 1.")
+    return int(given)
+
+
+def positive(owner: str, name: str, given: float | int, most: float | int = math.inf) -> float:
+    """`given` as a float.
+
+    **Errors:** `InputError` unless it is above 0, finite and not above `most`.
+    """
+    if not (0 < given <= most and math.isfinite(given)):
+        limit = "" if most == math.inf else f" and at most {most:g}"
+        raise InputError(f"{owner} was given {name} {given}; it needs a finite number above 0{limit}.")
+    return float(given)
+
+
+def divisible(strength: Float[ArrayLike, ""], dtype: DTypeLike) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+    """Whether the strength is so small (below 1e-19 in float32) that it counts as 0, and one to calculate with.
+
+    That is 1 where it counts as 0: 1/strength or its derivative would be infinite, and not a number behind a `where`. A
+    strength that is itself not a number is let through, to be noticed in the result.
+    """
+    given = jnp.asarray(strength, dtype)
+    off = given < jnp.finfo(dtype).tiny ** 0.5
+    return off, jnp.where(off, 1, given)

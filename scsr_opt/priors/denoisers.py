@@ -1,0 +1,106 @@
+"""Denoisers for `PlugAndPlay` and `RED`: NumPy functions made callable from a jitted loop, and some of scikit-image.
+
+A denoiser is any callable (image, σ) → image, σ being the standard deviation of the noise to be removed, a scalar
+array in the picture's unit. One written in JAX can be handed over as it is; if it is an Equinox module (a network) its
+arrays are arguments of the compiled loop and may change without compiling anew.
+
+The functions that make one remember what they made: the same settings give the same denoiser, and with it what has
+been compiled for it.
+"""
+
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from scsr_opt.priors.checks import positive, whole
+
+Denoiser = Callable[[Float[Array, "H W"], Float[Array, ""]], Float[Array, "H W"]]
+
+
+class NumpyDenoiser(eqx.Module):
+    """A denoiser that runs as a NumPy function on the host, called back from the compiled loop.
+
+    It cannot be differentiated, and pictures that `jax.vmap` adds are denoised one after the other. What comes back is
+    cast to the picture's dtype.
+
+    **Arguments:** `function`: (image, σ) → image of the same shape, free of side effects. Two denoisers are the same to
+    the compiler if their functions are: make a function once, not anew for each call.
+    """
+
+    function: Callable[[np.ndarray, float], np.ndarray] = eqx.field(static=True)
+
+    def __call__(self, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
+        def on_host(image: Array, sigma: Array) -> np.ndarray:
+            return np.asarray(self.function(np.asarray(image), float(sigma)), dtype=image.dtype)
+
+        like = jax.ShapeDtypeStruct(image.shape, image.dtype)
+        return jax.pure_callback(on_host, like, image, sigma, vmap_method="sequential")
+
+
+@functools.cache
+def nl_means(patch_size: int = 5, patch_distance: int = 6, cut_off: float | int = 0.8) -> NumpyDenoiser:
+    """Non-local means: each pixel becomes a mean of those whose surroundings look alike (Buades, Coll, Morel, 2005), by
+    `skimage.restoration.denoise_nl_means` in its fast form (Darbon et al., 2008). For texture that repeats.
+
+    **Arguments:** `patch_size` and `patch_distance` in pixels; `cut_off`: how unlike still counts, in units of σ.
+
+    **Errors:** `InputError` for sizes that are not whole and positive, or a cut-off that is not positive.
+    """
+    size = whole("nl_means", patch_size, "pixels of patch size")
+    distance = whole("nl_means", patch_distance, "pixels of patch distance")
+    cut_off = positive("nl_means", "the cut-off", cut_off)
+
+    def denoise(image: np.ndarray, sigma: float) -> np.ndarray:
+        from skimage.restoration import denoise_nl_means
+
+        return denoise_nl_means(image, size, distance, h=cut_off * sigma, sigma=sigma)
+
+    return NumpyDenoiser(denoise)
+
+
+@functools.cache
+def bilateral(spread: float | int = 1.5, contrast: float | int = 2.0) -> NumpyDenoiser:
+    """Bilateral filter: a mean over pixels near both in place and in intensity (Tomasi and Manduchi, 1998), by
+    `skimage.restoration.denoise_bilateral`.
+
+    **Arguments:** `spread`: standard deviation in place, pixels; `contrast`: that in intensity, in units of σ.
+
+    **Errors:** `InputError` for values that are not positive.
+    """
+    spread = positive("bilateral", "the spread", spread)
+    contrast = positive("bilateral", "the contrast", contrast)
+
+    def denoise(image: np.ndarray, sigma: float) -> np.ndarray:
+        from skimage.restoration import denoise_bilateral
+
+        # It takes pictures that are nowhere negative only.
+        lowest = image.min()
+        filtered = denoise_bilateral(
+            image - lowest, sigma_color=contrast * sigma, sigma_spatial=spread, mode="symmetric"
+        )
+        return filtered + lowest
+
+    return NumpyDenoiser(denoise)
+
+
+@functools.cache
+def tv_chambolle(iterations: int = 200) -> NumpyDenoiser:
+    """The proximal step of σ²·TV by `skimage.restoration.denoise_tv_chambolle` (Chambolle, 2004): what
+    `PlugAndPlay` with it does is `TotalVariation` calculated by another library, much slower. For comparison.
+
+    **Arguments:** `iterations` ≥ 1.
+
+    **Errors:** `InputError` for fewer than one iteration.
+    """
+    iterations = whole("tv_chambolle", iterations, "iterations")
+
+    def denoise(image: np.ndarray, sigma: float) -> np.ndarray:
+        from skimage.restoration import denoise_tv_chambolle
+
+        return denoise_tv_chambolle(image, weight=sigma**2, eps=0, max_num_iter=iterations)
+
+    return NumpyDenoiser(denoise)

@@ -1,0 +1,44 @@
+"""Any denoiser in the place of a proximal step."""
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from scsr_opt.priors.checks import divisible
+from scsr_opt.priors.denoisers import Denoiser
+from scsr_opt.priors.prior import Prior
+
+
+class PlugAndPlay(Prior[None]):
+    """prox(f) := D_σ(f) with σ = √λ, D a denoiser (Venkatakrishnan, Bouman, Wohlberg, 2013, "Plug-and-play priors for
+    model based reconstruction"; with proximal gradients Kamilov, Mansour, Wohlberg, 2017).
+
+    A proximal step with strength λ is what a maximum-a-posteriori denoiser does with noise of variance λ; here a
+    denoiser that is no such thing stands in for it. In general there is no Ψ: `value` is 0, so that an objective that
+    is reported is the data term alone. It need not fall from step to step, and what comes out depends on the step size.
+    Proximal-gradient iterations converge where D is averaged (non-expansive, nearly), for instance a filter whose
+    weights are held fixed, or a network trained for it; stop others by their number.
+
+    The step is exactly the denoiser. For what denoisers do best: texture that repeats, and pictures like those that a
+    network was trained on.
+
+    **Fields:** `denoiser`: a callable (image, σ) → image, written in JAX, or a `NumpyDenoiser` of
+    `scsr_opt.priors.denoisers`.
+    """
+
+    denoiser: Denoiser
+
+    def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
+        """0: there is none."""
+        return jnp.zeros((), image.dtype)
+
+    def initial_state(self, image: Float[Array, "H W"]) -> None:
+        """Nothing is remembered."""
+        return None
+
+    def prox(
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: None
+    ) -> tuple[Float[Array, "H W"], None]:
+        """The image denoised by σ = √strength; as it is where the strength is 0 (below 1e-19 in float32)."""
+        off, strength = divisible(strength, image.dtype)
+        return jnp.where(off, image, self.denoiser(image, jnp.sqrt(strength))), None

@@ -1,0 +1,94 @@
+"""Step sizes: what they promise, and what solvers make of them."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from scsr_opt.errors import InputError
+from scsr_opt.solvers import (
+    FISTA,
+    ISTA,
+    Backtracking,
+    Balance,
+    CondatVu,
+    Fixed,
+    NormBound,
+    SpectralNorm,
+    run,
+)
+
+
+@pytest.fixture(scope="module")
+def steepest(case) -> float:
+    """L, from the dense matrix."""
+    return float(np.linalg.eigvalsh((case.matrix.T * case.weight) @ case.matrix)[-1])
+
+
+def test_bounds_are_at_least_the_norm(case, steepest):
+    bound = float(NormBound().first(case.problem))
+    # Two applications of Collatz' bound: within 10 % where weights vary as they do here.
+    assert 0.9 <= bound * steepest <= 1 + 1e-5
+    probable = float(SpectralNorm(iterations=200).first(case.problem))
+    # The margin over the estimate: exp(ln(824 √768) / 399) = 1.025.
+    assert 0.96 <= probable * steepest <= 1 + 1e-5
+    loose = float(SpectralNorm(iterations=10).first(case.problem))
+    assert loose < probable
+    assert float(Fixed(0.25).first(case.problem)) == 0.25
+
+
+@pytest.mark.parametrize("make", [ISTA, FISTA])
+def test_backtracking_makes_steps_that_decrease_enough(make, case, minimum):
+    """f(X) ≤ f(A) + ⟨∇f(A), d⟩ + ‖d‖²/2β in every iteration; begun with a β that is far too long."""
+    solver = make(step_size=Backtracking())
+    state = solver.init(case.problem, case.start)
+    state = state._replace(step_size=50 * state.step_size)
+    data = case.problem.data
+    step = jax.jit(lambda state: solver.step(case.problem, state)[0])
+    for _ in range(40):
+        ahead, state = state.ahead, step(state)
+        moved, β = state.image - ahead, state.step_size
+        curvature = float(jnp.sum(moved * data.normal(moved)) / jnp.sum(moved**2))
+        assert curvature * float(β) <= 1 + 1e-3
+    assert case.objective(np.asarray(state.image)) / case.objective(minimum) - 1 < 1e-3
+
+
+def test_backtracking_finds_longer_steps_than_the_bound(case):
+    outcome = run(ISTA(iterations=40, tolerance=0, step_size=Backtracking()), case.problem, case.start)
+    longest = max(stage.step_size for stage in outcome.stages)
+    assert longest > 1.05 * float(NormBound().first(case.problem))
+
+
+def test_a_fixed_step_is_what_the_record_says(case):
+    outcome = run(FISTA(iterations=2, step_size=Fixed(0.125)), case.problem, case.start)
+    assert [stage.step_size for stage in outcome.stages] == [0.125, 0.125]
+
+
+@pytest.mark.parametrize("ratio", [0.2, 1, 5.0])
+def test_balanced_steps_meet_the_condition_of_convergence(ratio, case):
+    """1/τ − σ‖K‖² ≥ L/2 and α < 2 − (L/2)/(1/τ − σ‖K‖²) (Condat, 2013)."""
+    solver = CondatVu(balance=Balance(ratio))
+    lipschitz, norm_squared = 0.7, 8.0
+    σ = float(Balance(ratio).dual(jnp.float32(lipschitz), norm_squared))
+    left = 1 / float(solver._primal(jnp.float32(lipschitz))) - σ * norm_squared
+    assert left >= lipschitz / 2
+    assert solver._over < 2 - lipschitz / 2 / left
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Fixed(0), "step size 0"),
+        (lambda: Fixed(math.inf), "inf"),
+        (lambda: SpectralNorm(0), "0 iterations"),
+        (lambda: Backtracking(growth=0.9), "growth=0.9"),
+        (lambda: Backtracking(shrink=1), "shrink=1"),
+        (lambda: Balance(0), "ratio 0"),
+        (lambda: Balance(math.nan), "nan"),
+    ],
+)
+def test_values_that_make_no_sense(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

@@ -6,9 +6,16 @@ exposure was Y = c·θ / (b − a). Each end is known to within the frame it was
 in the middle of that frame, so the light counted is ½I_a + I_{a+1} + … + I_{b−1} + ½I_b: the exposure is [a, b] on a
 time axis on which frame t sits at t. (Taking the frames a+1 … b instead would show everything half a frame late.)
 
+**Ends.** Before its first spike a pixel gathers what its charge then lacked of θ, after its last one what will be left
+over: anything from 0 to θ, ½θ in the mean. Either end is a sample of ½θ over the time that it lasted; a pixel that
+never fired is one of 0 over the whole recording. They are rough, θ/√12, and get `ENDS` of the weight of an interval as
+long. Dark pixels, however, have little else, and without their ends those few that happened to fire twice would speak
+for all. One factor for all ends keeps Σ ω (Y − I) at mean 0 for constant light I of every level (docs/data-term.md),
+which no factor that depends on the sample's own duration or number of spikes does.
+
 **Windows.** A fixed window of n frames that holds c spikes measures Y = c·θ / n, with an error of up to θ.
 
-Both are weighted by duration. Intervals of one pixel share their ends, so their errors cancel from one to the next:
+All are weighted by duration. Intervals of one pixel share their ends, so their errors cancel from one to the next:
 weighted by duration they add up to the exact light between the first and the last spike.
 """
 
@@ -17,6 +24,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from scsr_opt.errors import InputError
+
+ENDS = 0.1
+"""Weight of the time before a pixel's first and after its last spike, beside that of as long an interval (measured)."""
 
 
 class Samples(eqx.Module):
@@ -66,8 +76,9 @@ def spike_intervals(
     shortest: int | Int[np.ndarray, "h w"] = 1,
     first_frame: int = 0,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    ends: float | int = ENDS,
 ) -> Samples:
-    """Samples from the intervals between spikes.
+    """Samples from the intervals between spikes, then those from the ends (see above).
 
     Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in
     each block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing
@@ -79,9 +90,14 @@ def spike_intervals(
     - `shortest`: frames, at least 1; one number or one per pixel.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
+    - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
 
-    **Returns:** `Samples`; empty if no pixel fired twice.
+    **Returns:** `Samples`; empty if `ends` is 0 and no pixel fired twice, or all pixels are bad.
+
+    **Raises:** `InputError` if `ends` is not from 0 to 1.
     """
+    if not 0 <= ends <= 1:
+        raise InputError(f"ends is {ends!r}, but it must be a number from 0 (left out) to 1 (as good as intervals).")
     frames, height, width = spikes.shape
     by_pixel = np.ascontiguousarray(np.moveaxis(spikes, 0, -1)).reshape(height * width, frames).astype(bool, copy=False)
     if bad_pixels is not None:
@@ -102,6 +118,13 @@ def spike_intervals(
     same = pixel[1:] == pixel[:-1]
     pixel, begin, end = pixel[1:][same], time[:-1][same], time[1:][same]
     spikes_counted = (order[1:] - order[:-1])[same]
+    factor = np.ones(pixel.size, np.float32)
+    if ends > 0:
+        at_end = _ends(by_pixel, None if bad_pixels is None else bad_pixels.reshape(-1))
+        pixel, begin, end, spikes_counted = (
+            np.concatenate(pair) for pair in zip((pixel, begin, end, spikes_counted), at_end, strict=True)
+        )
+        factor = np.append(factor, np.full(at_end[0].size, ends, np.float32))
     duration = (end - begin).astype(np.float32)
     return Samples(
         row=(pixel // width).astype(np.int32),
@@ -109,7 +132,24 @@ def spike_intervals(
         start=(begin + first_frame).astype(np.float32),
         stop=(end + first_frame).astype(np.float32),
         value=spikes_counted.astype(np.float32) / np.float32(white_rate) / duration,
-        weight=duration,
+        weight=duration * factor,
+    )
+
+
+def _ends(by_pixel: Bool[np.ndarray, "pixels T"], bad: Bool[np.ndarray, " pixels"] | None) -> tuple[np.ndarray, ...]:
+    """Pixel, start and stop (frame t covers [t − ½, t + ½]) and thresholds gathered, of all ends."""
+    frames = by_pixel.shape[1]
+    fired = by_pixel.any(1)
+    good = np.ones_like(fired) if bad is None else ~bad
+    lit, dark = np.flatnonzero(fired & good), np.flatnonzero(~fired & good)
+    first = by_pixel[lit].argmax(1)
+    last = frames - 1 - by_pixel[lit, ::-1].argmax(1)
+    opening, closing = np.full(lit.size, -0.5), np.full(lit.size, frames - 0.5)
+    return (
+        np.concatenate([lit, lit, dark]),
+        np.concatenate([opening, last, np.full(dark.size, -0.5)]),
+        np.concatenate([first, closing, np.full(dark.size, frames - 0.5)]),
+        np.concatenate([np.full(2 * lit.size, 0.5), np.zeros(dark.size)]),
     )
 
 

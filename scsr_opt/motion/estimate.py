@@ -16,13 +16,17 @@ from scsr_opt.motion.layers import layered
 from scsr_opt.motion.parametric import parametric
 from scsr_opt.motion.phase import PhaseCorrelation
 from scsr_opt.motion.trajectory import Motion
+from scsr_opt.motion.trust import trusted
 
 # The share of the pixels that may contradict before the next richer motion is tried: of nothing moves, of one motion
 # for all.
 _TOLERATED_AT_REST = 0.001
 _TOLERATED_GLOBAL = 0.01
-# Layers have to leave at most this share of what contradicted the background alone.
+# What must be left of what contradicted the background, at most, for anything richer to be believed.
 _HELPS = 0.8
+# Layers know of edges and of what is hidden, which the dense estimate does not; but where so much larger a share of the
+# pixels contradicts them, they miss motions that it has found.
+_MISSED = 0.1
 
 
 class Still(Estimator):
@@ -63,9 +67,12 @@ class Automatic(Estimator):
         if left <= _TOLERATED_GLOBAL:
             return whole
         background, unexplained = (whole, left) if left < moving / 2 else (still, moving)
-        layers = layered(pictures, background, dense(pictures, start=background))
+        everywhere = dense(pictures, start=background)
+        layers = layered(pictures, background, everywhere)
+        by_layers, by_pixel = (contradicted(pictures, motion).mean() for motion in (layers, everywhere))
+        motion, left = (layers, by_layers) if by_layers < by_pixel + _MISSED else (everywhere, by_pixel)
         # A recording of noise contradicts any motion: then more of it explains nothing.
-        return layers if contradicted(pictures, layers).mean() < _HELPS * unexplained else background
+        return motion if left < _HELPS * unexplained else background
 
 
 def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, float]:
@@ -99,7 +106,7 @@ def estimate_motion(
     estimator: Estimator | None = None,
     bad_pixels: np.ndarray | None = None,
 ) -> Motion:
-    """The motion around frame `key` (index into `spikes`) by `estimator`, `Automatic` if not given.
+    """The motion around frame `key` (index into `spikes`) by `estimator`, `Automatic` if not given, with its trust.
 
     Pixels in `bad_pixels` are filled from their neighbours before anything is compared. A recording of fewer than three
     frames shows no motion.
@@ -110,7 +117,8 @@ def estimate_motion(
     pictures = stretches(spikes, key=key, white_rate=white_rate)
     if bad_pixels is not None and bad_pixels.any():
         pictures = pictures._replace(picture=filled(pictures.picture, ~bad_pixels))
-    return (Automatic() if estimator is None else estimator)(pictures)
+    motion = (Automatic() if estimator is None else estimator)(pictures)
+    return trusted(pictures, motion)
 
 
 def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:

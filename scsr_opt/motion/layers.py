@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed
 from scsr_opt.motion.evidence import contradicted
-from scsr_opt.motion.parametric import parametric
+from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
 
 # Layers besides the background that are looked for, and the fewest sensor pixels one may have.
@@ -72,7 +72,10 @@ def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Moti
 def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[Motion]:
     """The candidates: the largest region that contradicts all so far is given a motion of its own, again and again."""
     motions = [background]
-    left = contradicted(pictures, background)
+    moving = contradicted(pictures, background)
+    left = unexplained = moving
+    # What is too fast to be heard against is not heard for either.
+    fastest = _FASTEST * _top_speed(everywhere, moving)
     for _ in range(_MOST):
         regions, number = cast(tuple[np.ndarray, int], ndimage.label(ndimage.binary_opening(left)))
         if number == 0:
@@ -81,16 +84,35 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
         region = regions == 1 + sizes.argmax()
         if sizes.max() < _FEWEST_PIXELS:
             break
-        found = parametric(pictures, start=_commonest(everywhere, region), where=region)
-        explained = region & ~contradicted(pictures, found)
+        # In dim light a fit to the pictures may go astray; the dense estimate then still shows the way.
+        fits = (parametric(pictures, start=_commonest(everywhere, region), where=region), _affine(everywhere, region))
+        against = [contradicted(pictures, fit) | (fit.speed > fastest) for fit in fits]
+        best = int(np.argmin([(region & wrong).sum() for wrong in against]))
+        explained = region & ~against[best]
         if explained.sum() > 0.3 * region.sum():
-            motions.append(found)
-            left = left & ~explained
+            motions.append(fits[best])
+            left, unexplained = left & ~explained, unexplained & against[best]
         left = left & ~region
-    unexplained = np.logical_and.reduce([contradicted(pictures, motion) for motion in motions])
     if len(motions) == 1 or unexplained.mean() > 0.01:
         motions.append(everywhere)
     return motions
+
+
+def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
+    """The affine velocity that most of a region's velocities are near to (iteratively reweighted least squares)."""
+    height, width = region.shape
+    fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)[:6]
+    here, found = fields[:, :, region].reshape(6, -1).T, motion.velocity[:, region].reshape(-1)
+    trust = np.tile(motion.confidence[region] + 1e-3, 2)
+    weight, numbers = trust, np.zeros(6, np.float32)
+    for _ in range(20):
+        weighted = here * weight[:, None]
+        damping = 1e-6 * np.eye(6, dtype=np.float32) * weight.sum()
+        numbers = np.linalg.solve(weighted.T @ here + damping, weighted.T @ found)
+        distance = (found - here @ numbers) ** 2
+        usual = np.quantile(distance, 0.3) + 1e-8
+        weight = trust / (1 + distance / (3 * usual)) ** 2
+    return Motion.of_velocity(np.einsum("p,pchw->chw", numbers, fields))
 
 
 def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:

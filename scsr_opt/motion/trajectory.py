@@ -33,6 +33,17 @@ class Layers(eqx.Module):
     depth: Int[np.ndarray, " layers"]
 
 
+class Trust(eqx.Module):
+    """How much a sample is worth that was taken at a given time, following the motion, of what it would be worth if
+    the motion were right (`scsr_opt.motion.trust`).
+
+    **Fields:** `after` (n,): frames from the key frame; `share` (n, h, w) in [0, 1], by pixel of the key frame.
+    """
+
+    after: Float[np.ndarray, " n"]
+    share: Float[np.ndarray, "n h w"]
+
+
 class Motion(eqx.Module):
     """Motion around a key frame.
 
@@ -42,12 +53,14 @@ class Motion(eqx.Module):
     - `acceleration`: (2, h, w), sensor pixels per frame².
     - `confidence`: (h, w) in [0, 1]: 1 where the velocity is well determined, 0 where nothing supports it.
     - `layers`: what moves in front of what; None where one smooth motion serves the whole picture.
+    - `trust`: how far from the key frame it holds; None means as far as the recording reaches.
     """
 
     velocity: Float[np.ndarray, "2 h w"]
     acceleration: Float[np.ndarray, "2 h w"]
     confidence: Float[np.ndarray, "h w"]
     layers: Layers | None = None
+    trust: Trust | None = None
 
     @classmethod
     def of_velocity(
@@ -84,7 +97,8 @@ class Trajectory(eqx.Module):
     **Fields:**
     - `first`: time of the first moment.
     - `position`: (n, 2, h, w), sensor pixels: where that which pixel p sees at the moment lies in the key frame.
-    - `visible`: (n, h, w) in [0, 1], how far what the pixel sees is visible in the key frame; weights samples.
+    - `visible`: (n, h, w) in [0, 1], how far what the pixel sees is visible in the key frame, times the motion's trust;
+      weights samples.
     """
 
     first: Float[Array, ""]
@@ -129,12 +143,42 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
     layers = motion.layers
     if layers is None:
         position = inverse(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
-        return Trajectory(first, position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype))
+        visible = jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
+        return Trajectory(first, position, _believed(motion.trust, visible, position, after))
     order = np.argsort(-layers.depth, kind="stable")
     nearest_first = (layers.velocity[order], layers.acceleration[order])
     membership = (layers.label == order[:, None, None]).astype(np.float32)
     position, visible = _front(*(jnp.asarray(v) for v in (*nearest_first, membership)), after)
-    return Trajectory(first, position, visible)
+    return Trajectory(first, position, _believed(motion.trust, visible, position, after))
+
+
+def _believed(
+    trust: Trust | None, visible: Float[Array, "m h w"], position: Float[Array, "m 2 h w"], after: Float[Array, " m"]
+) -> Float[Array, "m h w"]:
+    """`visible` times the share of trust at the point that is seen."""
+    if trust is None:
+        return visible
+    return _times_share(visible, jnp.asarray(trust.share), jnp.asarray(trust.after), position, after)
+
+
+@jax.jit
+def _times_share(
+    visible: Float[Array, "m h w"],
+    share: Float[Array, "n h w"],
+    known: Float[Array, " n"],
+    position: Float[Array, "m 2 h w"],
+    after: Float[Array, " m"],
+) -> Float[Array, "m h w"]:
+    def one(moment: tuple[Array, Array, Array]) -> Array:
+        visible, q, tau = moment
+        # Between two known moments; before the first and after the last, theirs.
+        at = jnp.interp(tau, known, jnp.arange(known.size, dtype=known.dtype))
+        before = jnp.minimum(at.astype(jnp.int32), known.size - 2)
+        pair = jax.lax.dynamic_slice_in_dim(share, before, 2)
+        there = pair[0] + (at - before.astype(at.dtype)) * (pair[1] - pair[0])
+        return visible * bilinear(there[None], q[0], q[1])[0]
+
+    return jax.lax.map(one, (visible, position, after))
 
 
 @jax.jit

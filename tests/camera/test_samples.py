@@ -45,7 +45,7 @@ def constant_light(frames: int, level: np.ndarray, seed: int = 0) -> np.ndarray:
 
 @given(spikes=recordings, shortest=st.integers(1, 12), first_frame=st.integers(-5, 5))
 def test_intervals_are_those_of_a_loop_over_pixels(spikes, shortest, first_frame):
-    found = spike_intervals(spikes, white_rate=RATE, shortest=shortest, first_frame=first_frame)
+    found = spike_intervals(spikes, white_rate=RATE, shortest=shortest, first_frame=first_frame, ends=0)
     np.testing.assert_allclose(rows(found), expected(spikes, np.full(spikes.shape[1:], shortest), first_frame), 1e-6)
     assert found.count == found.row.size
 
@@ -53,14 +53,14 @@ def test_intervals_are_those_of_a_loop_over_pixels(spikes, shortest, first_frame
 @given(spikes=recordings, data=st.data())
 def test_shortest_may_differ_from_pixel_to_pixel(spikes, data):
     shortest = data.draw(arrays(np.int32, spikes.shape[1:], elements=st.integers(1, 50)))
-    found = spike_intervals(spikes, white_rate=RATE, shortest=shortest)
+    found = spike_intervals(spikes, white_rate=RATE, shortest=shortest, ends=0)
     np.testing.assert_allclose(rows(found), expected(spikes, shortest, 0), 1e-6)
 
 
 @given(spikes=recordings, shortest=st.integers(1, 50))
 def test_merging_keeps_all_light_and_all_time(spikes, shortest):
     """Σ weight·value of a pixel is θ·(spikes − 1), Σ weight the time from its first to its last spike."""
-    found = spike_intervals(spikes, white_rate=RATE, shortest=shortest)
+    found = spike_intervals(spikes, white_rate=RATE, shortest=shortest, ends=0)
     light, time = np.zeros(spikes.shape[1:]), np.zeros(spikes.shape[1:])
     np.add.at(light, (found.row, found.column), found.weight * found.value)
     np.add.at(time, (found.row, found.column), found.weight)
@@ -83,7 +83,7 @@ def test_every_merged_interval_but_a_pixels_first_and_last_is_about_the_length_a
 
 def test_an_interval_is_off_by_no_more_than_a_frames_light():
     level = np.random.default_rng(2).uniform(0.05, 1.5, (30, 30))
-    found = spike_intervals(constant_light(200, level), white_rate=RATE)
+    found = spike_intervals(constant_light(200, level), white_rate=RATE, ends=0)
     true = level[found.row, found.column]
     assert np.all(np.abs(found.value - true) <= true / found.weight * (1 + 1e-5))
 
@@ -140,11 +140,11 @@ def test_bad_pixels_have_no_samples():
 
 
 @pytest.mark.parametrize("fired", [0, 1])
-def test_a_pixel_that_fires_less_than_twice_says_nothing(fired):
+def test_a_pixel_that_fires_less_than_twice_has_no_interval(fired):
     spikes = np.zeros((20, 2, 3), np.uint8)
     spikes[7] = fired
     for shortest in (1, 4, np.full((2, 3), 4, np.int32)):
-        found = spike_intervals(spikes, shortest=shortest)
+        found = spike_intervals(spikes, shortest=shortest, ends=0)
         assert found.count == 0 and found.row.size == 0
         assert found.padded().row.size == 1024 and found.padded().count == 0
 

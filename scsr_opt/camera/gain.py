@@ -1,0 +1,134 @@
+"""Fixed pattern: every pixel has a gain of its own, and fires that much faster (real sensors: about 6 % spread).
+
+A sample of pixel p measures Y = g(p)·I. Where g is known, Y / g is what counts. It can be known in two ways:
+
+- from a recording of an evenly lit surface (`flat_gain`), once for a camera;
+- from any recording in which the scene moves (`blind_gain`): a point of the scene is then seen by many pixels and a
+  pixel sees many points, so that what all others together say of a place tells what this pixel should have measured.
+  A gain that varies slowly along the motion (over further than the scene moved) cannot be told from the picture.
+
+Where nothing moves, each pixel sees one point only and gain and picture are one: nothing but an assumption on pictures
+(the prior) tells them apart, and `blind_gain` leaves such pixels as they are.
+"""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
+from scipy.ndimage import median_filter
+
+from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.errors import InputError
+
+_MOVED = 1.0
+"""Sensor pixels that the scene has to move at a pixel before its gain can be told from the picture."""
+_RANGE = (0.5, 2.0)
+"""Gains beyond this are bad pixels rather than gains."""
+
+
+def with_gain(samples: Samples, gain: Float[np.ndarray, "h w"]) -> Samples:
+    """The samples of a sensor without fixed pattern: Y / g.
+
+    **Raises:** `InputError` if a gain is not above 0.
+    """
+    gain = np.asarray(gain, np.float32)
+    if not np.all(gain > 0):
+        raise InputError(
+            f"{np.count_nonzero(~(gain > 0))} gains are not above 0: mark such pixels as bad_pixels and give them "
+            f"gain 1."
+        )
+    return eqx.tree_at(lambda s: s.value, samples, samples.value / gain[samples.row, samples.column])
+
+
+def flat_gain(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    even_over: int = 15,
+) -> Float[np.ndarray, "h w"]:
+    """Gains from a recording of an evenly lit, still surface: a pixel's rate over the median rate around it.
+
+    The error is that of a rate from intervals: about 0.4 / T relative for T frames, plus shot noise.
+
+    **Arguments:**
+    - `spikes`: (T, h, w); the longer the better.
+    - `bad_pixels`: (h, w), true for pixels to be left out; they get gain 1.
+    - `even_over`: sensor pixels over which the light may be taken as even; what varies more slowly (vignetting) is left
+      in.
+
+    **Returns:** (h, w), around 1.
+
+    **Raises:** `InputError` if `even_over` is less than 3.
+    """
+    if even_over < 3:
+        raise InputError(f"even_over is {even_over}, but a median of neighbours needs at least 3 pixels.")
+    shape = (spikes.shape[1], spikes.shape[2])
+    samples = spike_intervals(spikes, shortest=spikes.shape[0], bad_pixels=bad_pixels)
+    pixel = samples.row * shape[1] + samples.column
+    light, weight = (
+        np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
+        for of in (samples.weight * samples.value, samples.weight)
+    )
+    rate = light / np.where(weight > 0, weight, 1)
+    bad = np.zeros(shape, bool) if bad_pixels is None else bad_pixels
+    # Bad pixels say nothing about the light: they take the median of the good ones, which leaves their neighbours' be.
+    filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)
+    around = median_filter(filled, size=even_over, mode="nearest")
+    usable = ~bad & (around > 0)
+    return np.where(usable, np.clip(filled / np.where(usable, around, 1), *_RANGE), 1.0).astype(np.float32)
+
+
+def blind_gain(
+    samples: Samples,
+    predicted: Float[np.ndarray | Array, " n"],
+    *,
+    moved: Float[np.ndarray, "h w"],
+    white_rate: float | int,
+    weight: Float[np.ndarray | Array, " n"] | None = None,
+) -> Float[np.ndarray, "h w"]:
+    """Gains from samples and what the reconstructed picture predicts for them.
+
+    A pixel's raw gain is Σ ω Y / Σ ω P, measured and predicted light, each with one spike's light added: a pixel that
+    hardly fired stays near 1. Part of its spread is not gain but what is wrong with the picture. That part is not the
+    same in the first and in the second half of a pixel's samples, in which it sees different places; so the covariance
+    of the halves over the variance of their mean (split-half reliability, Spearman 1910, Brown 1910) is how much of the
+    raw gain's deviation from 1 is kept.
+
+    Use it in turns: picture from `with_gain(samples, gain)`, then gain from that picture; one turn gets most, two all.
+    Always hand in the samples as measured.
+
+    **Arguments:**
+    - `samples`: as measured, not corrected.
+    - `predicted`: (n,), what the picture predicts for each, `PlacedSamples.read(term.blurred(image))`.
+    - `moved`: (h, w), how far the scene moves at each pixel during the recording, sensor pixels.
+    - `white_rate`: spikes per frame of a pixel at intensity 1.
+    - `weight`: (n,), instead of the samples' own: those of `PlacedSamples`, which know what has left the picture.
+
+    **Returns:** (h, w), 1 where the scene does not move by a pixel or nothing was measured.
+    """
+    shape = (moved.shape[0], moved.shape[1])
+    row, column = np.asarray(samples.row), np.asarray(samples.column)
+    used = np.asarray(samples.weight if weight is None else weight, np.float64)
+    value, start, stop = (np.asarray(v, np.float64) for v in (samples.value, samples.start, samples.stop))
+    pixel = row * shape[1] + column
+
+    def sums(of: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
+        return np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
+
+    total, duration = sums(used), sums(np.where(used > 0, stop - start, 0.0))
+    seen = (total > 0) & (moved >= _MOVED)
+    if not seen.any():
+        return np.ones(shape, np.float32)
+    spike = total / np.maximum(duration, 1) / white_rate
+    halfway = sums(used * (start + stop) / 2) / np.where(total > 0, total, 1)
+    early = (start + stop) / 2 < halfway[row, column]
+    expected = np.maximum(np.asarray(predicted, np.float64), 0)
+
+    def ratio(part: Bool[np.ndarray, " n"] | bool) -> Float[np.ndarray, "h w"]:
+        raw = (sums(used * part * value) + spike) / np.maximum(sums(used * part * expected) + spike, 1e-9)
+        raw = np.clip(raw, *_RANGE)
+        return np.where(seen, raw - np.median(raw[seen]), 0)
+
+    first, second = ratio(early)[seen], ratio(~early)[seen]
+    spread = ((first + second) / 2).var()
+    reliable = float(np.clip(np.mean(first * second) / spread, 0, 1)) if spread > 0 else 0.0
+    return (1 + reliable * ratio(True)).astype(np.float32)

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from scsr_opt.camera.flat import parse_size
     from scsr_opt.camera.formats import read_recording
+    from scsr_opt.camera.gain import blind_gain, flat_gain, with_gain
+    from scsr_opt.camera.measuring import Intervals, Measuring, Windows
+    from scsr_opt.camera.noise import Noise, estimate_photons
     from scsr_opt.camera.playback import stp, tfi, tfp
     from scsr_opt.camera.rates import interval_rates
     from scsr_opt.camera.recording import Recording
@@ -54,6 +57,20 @@ _MODULES = {
         "spike_intervals",
         "windows",
     ),
+    "measuring": (
+        "Intervals",
+        "Measuring",
+        "Windows",
+    ),
+    "gain": (
+        "blind_gain",
+        "flat_gain",
+        "with_gain",
+    ),
+    "noise": (
+        "Noise",
+        "estimate_photons",
+    ),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
@@ -61,7 +78,10 @@ __all__ = [
     "Affine",
     "Box",
     "Ellipse",
+    "Intervals",
+    "Measuring",
     "MovingObject",
+    "Noise",
     "Recording",
     "Samples",
     "Scene",
@@ -71,6 +91,10 @@ __all__ = [
     "Translation",
     "TurningDisc",
     "Video",
+    "Windows",
+    "blind_gain",
+    "estimate_photons",
+    "flat_gain",
     "interval_rates",
     "parse_size",
     "read_recording",
@@ -80,6 +104,7 @@ __all__ = [
     "tfi",
     "tfp",
     "windows",
+    "with_gain",
     "write_recording",
 ]
 

@@ -10,8 +10,9 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, MissingArgumentError
 
+from scsr_opt.cli.baseline import baseline
 from scsr_opt.cli.demo import demo
 from scsr_opt.cli.info import info
 from scsr_opt.cli.options import say_error
@@ -38,7 +39,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, demo):
+for _command in (info, simulate, play, solve, baseline, demo):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 
@@ -67,6 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _sentence(error: Exception) -> str:
+    if isinstance(error, MissingArgumentError) and error.argument is not None and not error.argument.tokens:
+        # The parser's own sentence sounds as if the option were there and its value were not.
+        command, name = " ".join(error.command_chain or ()), " or ".join(error.argument.names)
+        if error.keyword is None:
+            return f"scsr {command} needs {name}, which is missing: {error.argument.parameter.help}"
     if isinstance(error, CycloptsError | InputError):
         return str(error)
     if isinstance(error, MemoryError):

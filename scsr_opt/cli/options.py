@@ -4,11 +4,12 @@
 """
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Group, Parameter, Token
 
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
@@ -17,6 +18,18 @@ from scsr_opt.report.progress import RichProgress
 
 if TYPE_CHECKING:
     import scsr_opt.camera
+
+
+def _whole(_: Any, tokens: Sequence[Token]) -> int:
+    # The parser's own int rounds 2.5 to 2.
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f'"{tokens[0].value}" is not a whole number.') from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
+"""An int on the command line."""
 
 FILE_GROUP = Group("Reading the recording", sort_key=2)
 
@@ -46,7 +59,7 @@ class Reading:
         ),
     ] = None
     row_bits: Annotated[
-        int | None, Parameter(help="Bits per row of a .dat file with padded rows, such as 416. Default: found out.")
+        Whole | None, Parameter(help="Bits per row of a .dat file with padded rows, such as 416. Default: found out.")
     ] = None
     array: Annotated[
         str | None, Parameter(help="Name of the array that holds the spikes in an .npz or HDF5 file, if it is unusual.")

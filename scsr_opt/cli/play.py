@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, check_outputs, key_frame, progress
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 
@@ -36,15 +36,18 @@ def play(
             "stp: from a model of short-term plasticity."
         ),
     ] = "tfp",
-    key: Annotated[int | None, Parameter(help="Frame to show, from 0. Default: the middle one. Pictures only.")] = None,
-    window: Annotated[int, Parameter(help="Frames that tfp averages over.")] = 21,
-    start: Annotated[int, Parameter(help="First frame of a film.")] = 0,
-    stop: Annotated[int | None, Parameter(help="Frame before which a film ends. Default: the end.")] = None,
+    key: Annotated[
+        Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one. Pictures only.")
+    ] = None,
+    window: Annotated[Whole, Parameter(help="Frames that tfp averages over.")] = 21,
+    start: Annotated[Whole, Parameter(help="First frame of a film.")] = 0,
+    stop: Annotated[Whole | None, Parameter(help="Frame before which a film ends. Default: the end.")] = None,
     step: Annotated[
-        int | None, Parameter(help="Frames from one picture of a film to the next. Default: about 100 pictures in all.")
+        Whole | None,
+        Parameter(help="Frames from one picture of a film to the next. Default: about 100 pictures in all."),
     ] = None,
     rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = 25.0,
-    bits: Annotated[int | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
+    bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
     reading: Reading | None = None,
     quiet: Quiet = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from scsr_opt.cli.options import Quiet, check_outputs, progress
+from scsr_opt.cli.options import Quiet, Whole, check_outputs, progress
 from scsr_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -151,13 +151,13 @@ def simulate(
     output: Annotated[
         Path, Parameter(name=["--output", "-o"], help="Recording to write: .npz, .dat, .npy, .h5 or .hdf5.")
     ],
-    scale: Annotated[int, Parameter(help="Pixels of the picture per sensor pixel, along each axis.")] = 4,
-    frames: Annotated[int, Parameter(help="Spike frames to record.")] = 101,
+    scale: Annotated[Whole, Parameter(help="Pixels of the picture per sensor pixel, along each axis.")] = 4,
+    frames: Annotated[Whole, Parameter(help="Spike frames to record.")] = 101,
     key: Annotated[
-        int | None, Parameter(help="Frame in which the pictures lie as they are given. Default: the middle one.")
+        Whole | None, Parameter(help="Frame in which the pictures lie as they are given. Default: the middle one.")
     ] = None,
     readout_rate: Annotated[float, Parameter(help="Frames per second, Hz; noted in the recording.")] = 40_000.0,
-    seed: Annotated[int, Parameter(help="Of the random numbers; the same one gives the same recording.")] = 0,
+    seed: Annotated[Whole, Parameter(help="Of the random numbers; the same one gives the same recording.")] = 0,
     truth: Annotated[
         Path | None, Parameter(help="Also write the true picture of the key frame here (.png, .tif, .npz).")
     ] = None,

@@ -1,22 +1,18 @@
 """`scsr solve`: a recording to a super-resolved picture."""
 
 import time
-from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, check_outputs, key_frame, progress, say_error
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress, say_error
+from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
 if TYPE_CHECKING:
     import scsr_opt.camera
 
-Prior = Literal["tv", "tv-anisotropic"]
-Solver = Literal["fista", "ista", "jaxopt-fista", "jaxopt-ista"]
-
-_SOLVING = Group("Solving", sort_key=1)
 FIGURE_ENDINGS = (".png", ".pdf", ".svg")
 
 
@@ -31,36 +27,21 @@ def solve(
             help="Picture to write: .png (8 or 16 bit), .tif (8, 16, or 32 bit float) or .npz (float).",
         ),
     ],
-    scale: Annotated[int, Parameter(help="Pixels of the picture per sensor pixel, along each axis: 1, 2, 3, 4, …")] = 4,
-    key: Annotated[int | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
-    frames: Annotated[int | None, Parameter(help="Use only so many frames around the key frame. Default: 101.")] = None,
-    motion: Annotated[
-        str,
-        Parameter(
-            group=_SOLVING,
-            allow_leading_hyphen=True,
-            help="auto: the simplest that fits (none, global, or layers with occlusion); none: nothing moves; phase: "
-            "one translation; global: one affine motion for all; dense, ilk, tvl1: a velocity for each pixel; "
-            "DOWN,RIGHT: this velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
-        ),
-    ] = "auto",
-    prior: Annotated[Prior, Parameter(group=_SOLVING, help="What the picture is taken to be like.")] = "tv",
-    strength: Annotated[
-        float | None, Parameter(group=_SOLVING, help="Of the prior (lambda). Default: set from the recording's noise.")
+    scale: Annotated[
+        Whole, Parameter(help="Pixels of the picture per sensor pixel, along each axis: 1, 2, 3, 4, …")
+    ] = 4,
+    key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
+    frames: Annotated[
+        Whole | None, Parameter(help="Use only so many frames around the key frame. Default: 101.")
     ] = None,
-    solver: Annotated[
-        Solver, Parameter(group=_SOLVING, help="All find the same picture; fista is the fastest, ista plain Eq. 5.")
-    ] = "fista",
-    iterations: Annotated[
-        int | None, Parameter(group=_SOLVING, help="Iterations at most, in each solve. Default: 200.")
-    ] = None,
-    bits: Annotated[int | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
+    bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
     report: Annotated[Path | None, Parameter(help="Also write a report in numbers (.json).")] = None,
     figure: Annotated[
         Path | None,
         Parameter(help="Also write a figure: playback beside result, motion, convergence (.png, .pdf, .svg)."),
     ] = None,
+    solving: Solving | None = None,
     reading: Reading | None = None,
     quiet: Quiet = False,
 ) -> int:
@@ -76,13 +57,15 @@ def solve(
     _check_ending("report", report, (".json",))
     _check_ending("figure", figure, FIGURE_ENDINGS)
     check_outputs([file], output=output, report=report, figure=figure)
-    for name, value in (("scale", scale), ("frames", frames), ("iterations", iterations)):
+    for name, value in (("scale", scale), ("frames", frames)):
         if value is not None and value < 1:
             raise InputError(f"--{name} is {value}, but it must be at least 1.")
+    solving = solving or Solving()
+    solving.check()
     started = time.perf_counter()
     recording = (reading or Reading()).open(file)
     moment = key_frame(recording, key)
-    choices = _choices(recording, motion, prior, strength, solver, iterations)
+    choices = solving.arguments(recording, scale)
 
     from scsr_opt import reconstruct
     from scsr_opt.reconstruction import FRAMES
@@ -108,91 +91,31 @@ def solve(
     if figure is not None:
         _draw(figure, recording, solution, scale=scale, key=moment)
     if not quiet:
-        print("\n".join([*said.lines(), *(str(path) for path in (output, report, figure) if path is not None)]))
+        print(
+            "\n".join(
+                [
+                    *said.lines(),
+                    *_learned(solution.stats),
+                    *(str(path) for path in (output, report, figure) if path is not None),
+                ]
+            )
+        )
     return 0
+
+
+def _learned(stats: dict[str, Any]) -> list[str]:
+    """What the recording told of the camera, where that was asked for."""
+    lines = []
+    if "optics_sigma" in stats:
+        lines.append(f"Lens: blurs by a standard deviation of {stats['optics_sigma']:.2g} sensor pixels.")
+    if "gain_spread" in stats:
+        lines.append(f"Fixed pattern: gains spread by {100 * stats['gain_spread']:.2g} %.")
+    return lines
 
 
 def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> None:
     if path is not None and path.suffix.lower() not in endings:
         raise InputError(f"--{option} {path} must end in {' or '.join(endings)}.")
-
-
-def _choices(
-    recording: "scsr_opt.camera.Recording",
-    motion: str,
-    prior: Prior,
-    strength: float | None,
-    solver: Solver,
-    iterations: int | None,
-) -> dict[str, Any]:
-    """What the options ask for, as arguments of `reconstruct`; what was not asked for is left to its defaults."""
-    from scsr_opt import solvers
-    from scsr_opt.priors.total_variation import TotalVariation
-
-    choices: dict[str, Any] = {}
-    velocity = _velocity(recording, motion)
-    if velocity is not None:
-        choices["velocity"] = velocity
-    if strength is not None:
-        if not (strength > 0 and isfinite(strength)):
-            raise InputError(f"--strength is {strength:g}, but it must be above 0 and finite.")
-        choices["strength"] = strength
-    if prior == "tv-anisotropic":
-        choices["prior"] = TotalVariation(isotropic=False)
-    if solver != "fista" or iterations is not None:
-        method = {
-            "fista": solvers.FISTA,
-            "ista": solvers.ISTA,
-            "jaxopt-fista": solvers.JaxoptFISTA,
-            "jaxopt-ista": solvers.JaxoptISTA,
-        }[solver]
-        choices["solver"] = method() if iterations is None else method(iterations=iterations)
-    return choices
-
-
-def _velocity(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
-    """An estimator, or (2, h, w) float32 in sensor pixels per frame; None where `reconstruct` is to choose.
-
-    **Raises:** `InputError` if `motion` is none of what the option allows.
-    """
-    import numpy as np
-
-    from scsr_opt import motion as known
-
-    named = {
-        "none": known.Still,
-        "phase": known.PhaseCorrelation,
-        "global": known.Global,
-        "dense": known.Dense,
-        "ilk": known.ILK,
-        "tvl1": known.TVL1,
-    }
-    if motion == "auto":
-        return None
-    if motion in named:
-        return named[motion]()
-    shape = (2, recording.height, recording.width)
-    if motion.endswith(".npy"):
-        try:
-            field = np.load(motion, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise InputError(f"--motion {motion} cannot be read as a .npy file.") from error
-        if field.shape != shape or field.dtype.kind not in "fiu" or not np.isfinite(field).all():
-            raise InputError(
-                f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {shape}, finite, in "
-                f"sensor pixels per frame."
-            )
-        return field.astype(np.float32)
-    try:
-        down, right = (float(part) for part in motion.split(","))
-    except ValueError:
-        down = right = float("nan")
-    if not np.isfinite([down, right]).all():
-        raise InputError(
-            f"--motion {motion} is not known: give auto, none, phase, global, dense, ilk, tvl1, DOWN,RIGHT in sensor "
-            f"pixels per frame, or the name of a .npy file."
-        )
-    return np.broadcast_to(np.array([down, right], np.float32)[:, None, None], shape).copy()
 
 
 def _write(output: Path, solution: Any, *, bits: int | None, gamma: float, scale: int, key: int) -> None:

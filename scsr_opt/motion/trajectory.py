@@ -85,6 +85,10 @@ class Motion(eqx.Module):
         acceleration = np.take_along_axis(layers.acceleration, chosen, 0)[0]
         return cls(velocity, acceleration, confidence, layers)
 
+    def part(self, rows: slice, columns: slice) -> "Motion":
+        """The motion of a part of the picture."""
+        return jax.tree.map(lambda field: field[..., rows, columns] if field.ndim > 1 else field, self)
+
     @property
     def speed(self) -> Float[np.ndarray, "h w"]:
         """Sensor pixels per frame."""

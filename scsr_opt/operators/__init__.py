@@ -10,6 +10,8 @@ from scsr_opt.operators.checks import DotTest, SpectralNorm, dot_test, norm_boun
 from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.observation import Observation
 from scsr_opt.operators.operator import Composition, LinearOperator
+from scsr_opt.operators.optics import GaussianOptics, estimate_gaussian_optics
+from scsr_opt.operators.robust import Huber, Loss, Welsch, robust_factors
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place, with_exposure
 from scsr_opt.operators.warp import Warp
 
@@ -20,16 +22,22 @@ __all__ = [
     "DataTerm",
     "DotTest",
     "Downsample",
+    "GaussianOptics",
+    "Huber",
     "LinearOperator",
+    "Loss",
     "Observation",
     "PlacedSamples",
     "SpectralNorm",
     "Stencil",
     "Warp",
+    "Welsch",
     "accumulate",
     "dot_test",
+    "estimate_gaussian_optics",
     "norm_bound",
     "place",
+    "robust_factors",
     "spectral_norm",
     "with_exposure",
 ]

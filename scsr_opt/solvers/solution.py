@@ -18,7 +18,7 @@ class Result(enum.Enum):
     )
     non_finite = "A value that is not finite appeared; the last finite picture is returned and should not be trusted."
     no_samples = (
-        "The recording holds no usable sample (no pixel fired twice, all are marked bad, or what they saw has left the "
+        "The recording holds no usable sample (no pixel fired, all are marked bad, or what they saw has left the "
         "picture), so the picture carries no information."
     )
 

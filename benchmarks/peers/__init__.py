@@ -1,0 +1,1 @@
+"""Other libraries on the problems of this one: `python -m benchmarks.peers`."""

@@ -1,0 +1,82 @@
+"""How a recording becomes samples: the choice that `reconstruct` offers as `samples`."""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Int, Shaped
+
+from scsr_opt.camera.samples import ENDS, Samples, spike_intervals, windows
+from scsr_opt.errors import InputError
+
+
+class Measuring(eqx.Module):
+    """A way to make intensity samples Y_i with exposures from spikes (Eq. 4; `scsr_opt.camera.samples`)."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        spikes: Shaped[np.ndarray, "T h w"],
+        *,
+        white_rate: float | int,
+        still_for: Int[np.ndarray, "h w"],
+        bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    ) -> Samples:
+        """The samples of a recording.
+
+        **Arguments:** `spikes`, `white_rate`, `bad_pixels` as of `spike_intervals`; `still_for`: frames, at least 1,
+        during which what a pixel sees hardly moves.
+        """
+
+
+class Intervals(Measuring):
+    """The light between two spikes of a pixel, Y = cθ / n; merged while nothing moves (`spike_intervals`).
+
+    **Fields:** `ends`: weight of the time before a pixel's first and after its last spike, from 0 to 1.
+
+    **Raises:** `InputError` for other weights.
+    """
+
+    ends: float | int = ENDS
+
+    def __check_init__(self):
+        if not 0 <= self.ends <= 1:
+            raise InputError(f"Intervals was given ends={self.ends!r}; it is a weight from 0 to 1.")
+
+    def __call__(
+        self,
+        spikes: Shaped[np.ndarray, "T h w"],
+        *,
+        white_rate: float | int,
+        still_for: Int[np.ndarray, "h w"],
+        bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    ) -> Samples:
+        return spike_intervals(spikes, white_rate=white_rate, shortest=still_for, bad_pixels=bad_pixels, ends=self.ends)
+
+
+class Windows(Measuring):
+    """Spikes counted in windows of `length` frames, one after the other, Y = cθ / n (`windows`).
+
+    A count is wrong by up to θ, an interval by a frame's light: windows need 4 to 64 times the strength of the prior
+    and are 1 to 4 dB behind (docs/data-term.md). For comparison, and for frames that were summed up before they came.
+
+    **Fields:** `length`: frames, at least 1 and at most those that are used.
+
+    **Raises:** `InputError` for a length below 1; when it is called, for one that does not fit the recording.
+    """
+
+    length: int
+
+    def __check_init__(self):
+        if self.length < 1:
+            raise InputError(f"Windows was given a length of {self.length}; it needs at least 1 frame.")
+
+    def __call__(
+        self,
+        spikes: Shaped[np.ndarray, "T h w"],
+        *,
+        white_rate: float | int,
+        still_for: Int[np.ndarray, "h w"],
+        bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    ) -> Samples:
+        return windows(spikes, length=self.length, white_rate=white_rate, bad_pixels=bad_pixels)

@@ -1,0 +1,265 @@
+"""How `scsr solve` is to solve: options, and what they mean as arguments of `reconstruct`."""
+
+from dataclasses import dataclass
+from math import inf, isfinite, nan
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from scsr_opt.cli.options import Whole
+from scsr_opt.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    import scsr_opt.camera
+
+Prior = Literal["tv", "tv-anisotropic", "huber", "tgv", "bilateral", "wavelet", "nl-means", "red"]
+Solver = Literal[
+    "fista",
+    "ista",
+    "admm",
+    "condat-vu",
+    "chambolle-pock",
+    "nonlinear-cg",
+    "lbfgs",
+    "jaxopt-fista",
+    "jaxopt-ista",
+    "jaxopt-admm",
+]
+Robust = Literal["huber", "welsch"]
+
+
+@Parameter(name="*", group=Group("Solving", sort_key=1))
+@dataclass(frozen=True, kw_only=True)
+class Solving:
+    """What is solved and how; None where it is left to `reconstruct`."""
+
+    motion: Annotated[
+        str,
+        Parameter(
+            allow_leading_hyphen=True,
+            help="auto: the simplest that fits (none, global, or layers with occlusion); none: nothing moves; phase: "
+            "one translation; global: one affine motion for all; dense, ilk, tvl1: a velocity for each pixel; "
+            "DOWN,RIGHT: this velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
+        ),
+    ] = "auto"
+    refine: Annotated[
+        Whole, Parameter(help="Refine the motion against the picture so many times, solving again each time.")
+    ] = 0
+    samples: Annotated[
+        str, Parameter(help="What is measured: intervals between spikes, or windows:N, spikes counted over N frames.")
+    ] = "intervals"
+    robust: Annotated[
+        Robust | None, Parameter(help="Give measurements less say that contradict the picture. Default: all alike.")
+    ] = None
+    gain: Annotated[
+        str | None,
+        Parameter(
+            help="Fixed pattern: FILE.npy with (height, width) gains, around 1; blind: from the recording itself, "
+            "where it moves. Default: none."
+        ),
+    ] = None
+    optics: Annotated[
+        str | None,
+        Parameter(
+            help="The lens's blur: a standard deviation in sensor pixels; estimate: from the recording, if it moves. "
+            "Default: none."
+        ),
+    ] = None
+    prior: Annotated[
+        Prior,
+        Parameter(
+            help="What the picture is taken to be like: tv: flat with edges; huber: the same, smooth; tgv: slopes with "
+            "edges; bilateral, wavelet: several scales; nl-means, red: texture that repeats (slow)."
+        ),
+    ] = "tv"
+    bounds: Annotated[
+        str | None,
+        Parameter(
+            allow_leading_hyphen=True, help="Range of the intensities: LOW,HIGH or non-negative. Default: any at all."
+        ),
+    ] = None
+    strength: Annotated[
+        float | None, Parameter(help="Of the prior (lambda). Default: set from the recording's noise.")
+    ] = None
+    solver: Annotated[
+        Solver,
+        Parameter(
+            help="All find the same picture where the prior is convex; fista is the fastest, ista plain Eq. 5. "
+            "nonlinear-cg and lbfgs are for --prior huber."
+        ),
+    ] = "fista"
+    iterations: Annotated[
+        Whole | None,
+        Parameter(help="Iterations at most, in each solve. Default: 200, for condat-vu and chambolle-pock 400."),
+    ] = None
+
+    def check(self) -> None:
+        """**Raises:** `InputError` for what is wrong whatever the recording."""
+        if self.iterations is not None and self.iterations < 1:
+            raise InputError(f"--iterations is {self.iterations}, but it must be at least 1.")
+        if self.refine < 0:
+            raise InputError(f"--refine is {self.refine}, but it must be at least 0.")
+        if self.strength is not None and not (self.strength >= 0 and isfinite(self.strength)):
+            raise InputError(f"--strength is {self.strength:g}, but it must be at least 0 and finite.")
+        if self.optics not in (None, "estimate") and not 0 <= _number(self.optics) < inf:
+            raise InputError(f"--optics is {self.optics}, but it must be estimate or a number of sensor pixels from 0.")
+
+    def arguments(self, recording: "scsr_opt.camera.Recording", scale: int) -> dict[str, Any]:
+        """Those of `reconstruct`; what was not asked for is left to its defaults.
+
+        **Raises:** `InputError` for what does not go together, or with this recording.
+        """
+        given = {
+            "velocity": velocity_of(recording, self.motion),
+            "samples": self._samples(recording),
+            "robust": self._robust(),
+            "gain": self._gain(recording),
+            "optics": self._optics(recording, scale),
+            "prior": self._prior(),
+            "strength": self.strength,
+            "solver": self._solver(),
+            "refine": self.refine or None,
+        }
+        return {name: value for name, value in given.items() if value is not None}
+
+    def _samples(self, recording: "scsr_opt.camera.Recording") -> Any:
+        if self.samples == "intervals":
+            return None
+        kind, _, length = self.samples.partition(":")
+        if kind != "windows" or not length.isdecimal() or not 1 <= int(length) <= recording.frames:
+            raise InputError(
+                f"--samples is {self.samples}, but it must be intervals or windows:N, N from 1 to {recording.frames} "
+                f"frames."
+            )
+        from scsr_opt.camera import Windows
+
+        return Windows(int(length))
+
+    def _robust(self) -> Any:
+        from scsr_opt import operators
+
+        return None if self.robust is None else {"huber": operators.Huber, "welsch": operators.Welsch}[self.robust]()
+
+    def _gain(self, recording: "scsr_opt.camera.Recording") -> Any:
+        if self.gain is None or self.gain == "blind":
+            return self.gain
+        if not self.gain.endswith(".npy"):
+            raise InputError(f"--gain is {self.gain}, but it must be blind or the name of a .npy file.")
+        gain, shape = load_npy("gain", self.gain), (recording.height, recording.width)
+        if gain.shape != shape or gain.dtype.kind not in "fiu" or not ((gain > 0) & (gain < inf)).all():
+            raise InputError(
+                f"--gain {self.gain} holds {gain.dtype} of shape {gain.shape}, but gains are {shape}, finite and "
+                f"above 0."
+            )
+        return gain
+
+    def _optics(self, recording: "scsr_opt.camera.Recording", scale: int) -> Any:
+        if self.optics is None or self.optics == "estimate":
+            return self.optics
+        from scsr_opt.operators import Blur
+
+        return Blur.gaussian((scale * recording.height, scale * recording.width), float(self.optics) * scale)
+
+    def _prior(self) -> Any:
+        if self.prior == "tv" and self.bounds is None:
+            return None
+        from scsr_opt import priors
+
+        prior = {
+            "tv": priors.TotalVariation,
+            "tv-anisotropic": lambda: priors.TotalVariation(isotropic=False),
+            "huber": priors.HuberTotalVariation,
+            "tgv": priors.TotalGeneralizedVariation,
+            "bilateral": priors.BilateralTotalVariation,
+            "wavelet": priors.WaveletL1,
+            "nl-means": lambda: priors.PlugAndPlay(priors.nl_means()),
+            "red": lambda: priors.RED(priors.nl_means()),
+        }[self.prior]()
+        if self.bounds is None:
+            return prior
+        if self.bounds == "non-negative":
+            return priors.Bounded(prior)
+        low, _, high = self.bounds.partition(",")
+        if not -inf < _number(low) < _number(high) < inf:
+            raise InputError(
+                f"--bounds is {self.bounds}, but it must be LOW,HIGH with LOW below HIGH, such as 0,1, or non-negative."
+            )
+        return priors.Bounded(prior, float(low), float(high))
+
+    def _solver(self) -> Any:
+        if self.solver == "fista" and self.iterations is None:
+            return None
+        from scsr_opt import solvers
+
+        method = {
+            "fista": solvers.FISTA,
+            "ista": solvers.ISTA,
+            "admm": solvers.ADMM,
+            "condat-vu": solvers.CondatVu,
+            "chambolle-pock": solvers.ChambollePock,
+            "nonlinear-cg": solvers.NonlinearCG,
+            "lbfgs": solvers.LBFGS,
+            "jaxopt-fista": solvers.JaxoptFISTA,
+            "jaxopt-ista": solvers.JaxoptISTA,
+            "jaxopt-admm": solvers.JaxoptADMM,
+        }[self.solver]
+        return method() if self.iterations is None else method(iterations=self.iterations)
+
+
+def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
+    """An estimator, or (2, h, w) float32 in sensor pixels per frame; None where `reconstruct` is to choose.
+
+    **Raises:** `InputError` if `motion` is none of what the option allows.
+    """
+    import numpy as np
+
+    from scsr_opt import motion as known
+
+    named = {
+        "none": known.Still,
+        "phase": known.PhaseCorrelation,
+        "global": known.Global,
+        "dense": known.Dense,
+        "ilk": known.ILK,
+        "tvl1": known.TVL1,
+    }
+    if motion == "auto":
+        return None
+    if motion in named:
+        return named[motion]()
+    shape = (2, recording.height, recording.width)
+    if motion.endswith(".npy"):
+        field = load_npy("motion", motion)
+        if field.shape != shape or field.dtype.kind not in "fiu" or not np.isfinite(field).all():
+            raise InputError(
+                f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {shape}, finite, in "
+                f"sensor pixels per frame."
+            )
+        return field.astype(np.float32)
+    down, _, right = motion.partition(",")
+    velocity = np.array([_number(down), _number(right)], np.float32)
+    if not np.isfinite(velocity).all():
+        raise InputError(
+            f"--motion {motion} is not known: give auto, none, phase, global, dense, ilk, tvl1, DOWN,RIGHT in sensor "
+            f"pixels per frame, or the name of a .npy file."
+        )
+    return np.broadcast_to(velocity[:, None, None], shape).copy()
+
+
+def load_npy(option: str, path: str) -> "np.ndarray":
+    """The array in a .npy file. **Raises:** `InputError` if it cannot be read."""
+    import numpy as np
+
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"--{option} {path} cannot be read as a .npy file.") from error
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text or "")
+    except ValueError:
+        return nan

@@ -1,0 +1,82 @@
+"""What `reconstruct` is handed, checked in one place and in one wording."""
+
+import math
+import operator
+from collections.abc import Callable
+from typing import SupportsFloat, SupportsIndex
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from scsr_opt.camera.recording import Recording, checked_settings
+from scsr_opt.errors import InputError
+
+# Pixels of the largest picture: a solve holds about 40 numbers for each, 16 GB in all.
+_MOST_PIXELS = 10**8
+
+
+def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
+    """`value` as an int from `least` to `most`, or an `InputError` that names it."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or number < least or (most is not None and number > most):
+        limits = f"at least {least}" if most is None else f"from {least} to {most}"
+        raise InputError(f"{name} is {value!r}; it must be a whole number, {limits}.")
+    return number
+
+
+def number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], limits: str) -> float:
+    """`value` as a finite float that is `allowed`, or an `InputError` that names it and its `limits`."""
+    try:
+        found = float(value)
+    except (TypeError, ValueError):
+        found = math.nan
+    if not (math.isfinite(found) and allowed(found)):
+        raise InputError(f"{name} is {value!r}; it must be a finite number {limits}.")
+    return found
+
+
+def check_type(value: object, kind: type, name: str, example: str) -> None:
+    """**Raises:** `InputError` if `value` is neither None nor a `kind`, with an `example` of one."""
+    if value is not None and not isinstance(value, kind):
+        raise InputError(f"{name} is {value!r}; it must be a {kind.__name__}, such as {example}.")
+
+
+def picture_shape(recording: Recording, scale: int) -> tuple[int, int]:
+    """(s·h, s·w). **Raises:** `InputError` if such a picture does not fit into memory."""
+    if scale**2 * recording.height * recording.width > _MOST_PIXELS:
+        raise InputError(
+            f"At scale {scale} the picture would have {scale**2 * recording.height * recording.width / 1e6:.0f} "
+            f"million pixels; at most {_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale or crop the "
+            f"recording."
+        )
+    return scale * recording.height, scale * recording.width
+
+
+def bad_pixels_of(recording: Recording, more: ArrayLike | None) -> Bool[np.ndarray, "h w"] | None:
+    """Those of the recording and `more`; None if nothing is known of any. **Raises:** as `Recording`."""
+    mask = checked_settings(recording.shape, recording.readout_rate, recording.white_rate, more)["bad_pixels"]
+    if mask is None or recording.bad_pixels is None:
+        return recording.bad_pixels if mask is None else mask
+    return mask | recording.bad_pixels
+
+
+def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h w"]:
+    """`gain` as float32 (h, w). **Raises:** `InputError` if it has another shape or is not finite and above 0."""
+    try:
+        found = np.asarray(gain, np.float32)
+    except (TypeError, ValueError):
+        found = None
+    if found is None or found.shape != (height, width):
+        given = repr(gain) if found is None or found.ndim == 0 else f"an array of shape {found.shape}"
+        raise InputError(f"gain is {given}; it must be 'blind' or one gain for each pixel, ({height}, {width}).")
+    wrong = int(np.count_nonzero(~(np.isfinite(found) & (found > 0))))
+    if wrong:
+        raise InputError(
+            f"gain holds {wrong} values that are not finite and above 0; mark such pixels as bad_pixels and give them "
+            f"gain 1."
+        )
+    return found

@@ -1,0 +1,105 @@
+"""From spikes and their motion to measurements that have a place on the picture."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
+
+from scsr_opt.camera.gain import blind_gain, with_gain
+from scsr_opt.camera.measuring import Measuring
+from scsr_opt.camera.samples import Samples
+from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.operators.sampling import PlacedSamples, place
+
+# How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
+_MERGED_MOTION = 0.25
+# Length of an exposure, in high-resolution pixels, from which on it is sampled at several positions.
+_EXPOSURE_MOTION = 0.75
+
+
+class Stream(NamedTuple):
+    """The part of a recording that is used.
+
+    **Fields:**
+    - `spikes`: (T, h, w), 0 and 1; all 0 in bad pixels.
+    - `key`: index of the key frame in `spikes`.
+    - `white_rate`: spikes per frame of a pixel at intensity 1.
+    - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
+    """
+
+    spikes: Shaped[np.ndarray, "T h w"]
+    key: int
+    white_rate: float
+    bad_pixels: Bool[np.ndarray, "h w"] | None
+
+
+class Measurements(NamedTuple):
+    """Samples and where they were taken.
+
+    **Fields:**
+    - `samples`: (n,), as measured, weighted by their share of the recording.
+    - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
+    """
+
+    samples: Samples
+    padded: Samples
+    placed: PlacedSamples
+
+    def with_gain(self, gain: Float[np.ndarray, "h w"]) -> "Measurements":
+        """The samples as measured over these gains, at the same places."""
+        padded = with_gain(self.samples, gain).padded()
+        placed = eqx.tree_at(lambda p: p.value, self.placed, jnp.asarray(padded.value))
+        return Measurements(self.samples, padded, placed)
+
+    def gain(self, stream: Stream, motion: Motion, blurred: Float[Array, "H W"]) -> Float[np.ndarray, "h w"]:
+        """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`)."""
+        n = self.samples.row.size
+        return blind_gain(
+            self.samples,
+            np.asarray(self.placed.read(blurred))[:n],
+            moved=motion.speed * np.float32(len(stream.spikes)),
+            white_rate=stream.white_rate,
+            weight=np.asarray(self.placed.weight)[:n],
+        )
+
+
+def measured(
+    stream: Stream,
+    motion: Motion,
+    *,
+    scale: int,
+    measuring: Measuring,
+    gain: Float[np.ndarray, "h w"] | None = None,
+) -> Measurements:
+    """The measurements of a recording, placed along a motion.
+
+    **Arguments:**
+    - `scale`: s, high-resolution pixels to a sensor pixel.
+    - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
+      high-resolution pixel.
+    - `gain`: of each pixel; 1 if not given.
+    """
+    frames, height, width = stream.spikes.shape
+    with np.errstate(divide="ignore"):
+        still_for = np.clip(_MERGED_MOTION / (scale * motion.speed), 1, frames).astype(np.int32)
+    samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
+    samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
+    padded = (samples if gain is None else with_gain(samples, gain)).padded()
+    placed = place(
+        jax.tree.map(jnp.asarray, padded),
+        trajectory_of(motion, key=stream.key, start=0, stop=frames),
+        scale=scale,
+        positions=_positions(samples, motion, scale),
+        shape=(scale * height, scale * width),
+    )
+    return Measurements(samples, padded, placed)
+
+
+def _positions(samples: Samples, motion: Motion, scale: int) -> int:
+    """How finely exposures are sampled: 1, 3 or 5 positions, by how far the surface moves during a long one."""
+    moved = scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
+    long = float(np.quantile(moved, 0.9)) if moved.size else 0.0
+    return 1 if long < _EXPOSURE_MOTION else 3 if long < 3 * _EXPOSURE_MOTION else 5

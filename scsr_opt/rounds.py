@@ -1,0 +1,107 @@
+"""The outer loop of a reconstruction, where the true data term is not the quadratic that the solvers take.
+
+Each round puts a quadratic on or above the true data term that touches it at the picture so far, and solves; the
+objective falls from round to round (majorise–minimise). Two things ask for that: exposures during which the picture
+moves (`with_exposure`), and a robust loss (`robust_factors`). Where there is neither, one round is all.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from scsr_opt.errors import InputError
+from scsr_opt.operators.operator import LinearOperator
+from scsr_opt.operators.robust import Loss, robust_factors
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
+from scsr_opt.priors.prior import Prior
+from scsr_opt.progress import Progress
+from scsr_opt.solvers.iterate import Outcome, Solver, run
+from scsr_opt.solvers.problem import Problem
+
+# Rounds after the first solve; each takes back most of what is left.
+CORRECTIONS = 3
+# What is corrected next need not be solved to the end.
+_LOOSE = 5.0
+
+
+class Found(NamedTuple):
+    """What the rounds end with: the last solve's outcome, with the stages of all, and B X of its picture."""
+
+    outcome: Outcome
+    blurred: Float[Array, "H W"]
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """minimise over X of ½ Σ_j ω_j ρ(r_j·B X − Y_j) + λ Ψ(X), r_j along the exposure, by rounds of `solver`.
+
+    **Fields:** `solver`; `prior` Ψ; `strength` λ; `optics`, the lens in B; `robust` ρ, the square if None; `progress`,
+    `keep_images` as of `run`.
+    """
+
+    solver: Solver
+    prior: Prior
+    strength: Float[Array, ""]
+    optics: LinearOperator | None
+    robust: Loss | None
+    progress: Progress | None
+    keep_images: bool
+
+    def __call__(self, placed: PlacedSamples, image: Float[Array, "H W"], state: Any = None) -> Found:
+        """Solves from the picture `image`, or goes on from the `state` of a solve of something similar.
+
+        **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
+        """
+        plain = term = accumulate(placed, optics=self.optics)
+        rounds = 1 + (CORRECTIONS if placed.positions > 1 or self.robust is not None else 0)
+        if state is not None:
+            self._check(state, Problem(term, self.prior, self.strength), image)
+            term, rounds = self._corrected(plain, placed, self.solver.image(state)), max(rounds - 1, 1)
+        stages = []
+        for following in reversed(range(rounds)):
+            outcome = run(
+                self.solver,
+                Problem(term, self.prior, self.strength),
+                image,
+                similar=state,
+                progress=self.progress,
+                keep_images=self.keep_images,
+                tolerance=self.solver.tolerance * (_LOOSE if following else 1),
+            )
+            stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
+            if not following or not outcome.result.good:
+                break
+            state = outcome.state
+            term = self._corrected(plain, placed, jnp.asarray(outcome.image))
+        return Found(outcome._replace(stages=tuple(stages)), _blurred(plain, jnp.asarray(outcome.image)))
+
+    def _corrected(self, plain: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"]) -> DataTerm:
+        """The quadratic that lies on or above the true data term and touches it at `image`."""
+        factors = None
+        if self.robust is not None:
+            factors = robust_factors(self.robust, placed, plain, image)
+            plain = accumulate(placed, robust=factors, optics=self.optics)
+        return plain if placed.positions == 1 else with_exposure(plain, placed, image, robust=factors)
+
+    def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
+        own = eqx.filter_eval_shape(self.solver.init, problem, image)
+        if _layout(state) != _layout(own):
+            raise InputError(
+                f"state is not one that {type(self.solver).__name__} with {type(self.prior).__name__} can go on from "
+                f"to a picture of {image.shape}; hand in Solution.state of a solution by the same solver and prior, of "
+                f"the same size."
+            )
+
+
+def _layout(state: Any) -> tuple[Any, list[Any]]:
+    leaves, structure = jax.tree.flatten(eqx.filter(state, lambda leaf: hasattr(leaf, "shape")))
+    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+
+@eqx.filter_jit
+def _blurred(term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    return term.blurred(image)

@@ -1,0 +1,175 @@
+"""How much weight the prior gets: the strength λ of Eq. 4, from the recording itself.
+
+Two things are known. The noise between neighbouring intervals of a pixel says how far the gradient of f is moved by
+chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor of 2 of 1.
+In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and smooth
+scenes want several times as much. So λ is validated (`validated_strength`): part of the intervals is held out, and the
+picture made from the others has to predict them.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.operators.operator import LinearOperator
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, place, with_exposure
+from scsr_opt.placing import Stream
+from scsr_opt.priors.prior import Prior
+from scsr_opt.solvers.iterate import run
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.proximal_gradient import FISTA
+
+# λ = _SMOOTHING · √(noise / frames) · (2 / scale)^¾. The square root is how far noise moves the gradient of f at a
+# pixel, which total variation has to hold down; the constant and the exponent were found on stills with known answers,
+# three kinds of motion, two lights and two scales (docs/measurements.md).
+_SMOOTHING = 0.06
+
+# Side of the part of the picture that λ is validated on, in high-resolution pixels.
+_SIDE = 256
+# One interval in so many is held out, in stretches of at least so many frames and two intervals: neighbouring intervals
+# share a spike, whose rounding makes the one too long and the other too short.
+_SHARE, _STRETCH = 5, 8
+# Held-out intervals tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
+# that gives the best picture was 1.4 times the one that predicts best. Nor is less than by noise alone believed, where
+# it always lost.
+_BEYOND = 1.4
+_LOWEST, _HIGHEST = 0.5, 16.0
+# A validation need not be solved to the end.
+_ITERATIONS, _TOLERANCE = 60, 5e-4
+
+
+def strength_of_noise(stream: Stream, scale: int) -> float:
+    """λ from how much neighbouring intervals of a pixel differ, in a sample of the pixels."""
+    few = stream.spikes[:, ::2, ::2]
+    bad = None if stream.bad_pixels is None else stream.bad_pixels[::2, ::2]
+    samples = spike_intervals(few, white_rate=stream.white_rate, bad_pixels=bad, ends=0)
+    follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
+    difference = (samples.value[1:] - samples.value[:-1])[follows]
+    duration = ((samples.weight[1:] + samples.weight[:-1]) / 2)[follows]
+    if difference.size:
+        noise = difference**2 * duration / 2  # variance of an interval of one frame
+        noise = float(np.minimum(noise, np.quantile(noise, 0.9)).mean())  # passing edges are not noise
+    else:
+        noise = 0.0
+    noise = max(noise, 1e-3)  # spikes are counted in whole frames: never free of it
+    return _SMOOTHING * (noise / len(stream.spikes)) ** 0.5 * (2 / scale) ** 0.75
+
+
+class _Validation(NamedTuple):
+    """Samples to make a picture from, and the weights of those to predict."""
+
+    placed: PlacedSamples
+    held: Float[Array, " n"]
+    plain: DataTerm
+
+
+def validated_strength(
+    stream: Stream,
+    motion: Motion,
+    *,
+    scale: int,
+    positions: int,
+    prior: Prior,
+    optics: LinearOperator | None = None,
+) -> float:
+    """λ by holding out a fifth of the intervals: the strength that predicts them best, and somewhat more.
+
+    Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A middle part of the
+    picture serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor; a lens makes
+    that part the whole picture, as its blur is made for one size.
+
+    **Arguments:** `positions` along an exposure, `prior` and `optics` as for the reconstruction.
+    """
+    least = strength_of_noise(stream, scale)
+    side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
+    rows, columns = (_middle(length, side) for length in stream.spikes.shape[1:])
+    part = Stream(
+        stream.spikes[:, rows, columns],
+        stream.key,
+        stream.white_rate,
+        None if stream.bad_pixels is None else stream.bad_pixels[rows, columns],
+    )
+    validation = _split(part, motion.part(rows, columns), scale, positions, optics)
+    if validation is None:
+        return least
+    solver = FISTA(_ITERATIONS, _TOLERANCE)
+    image = jnp.full(validation.plain.shape, jnp.mean(validation.placed.value), jnp.float32)
+    term, state = validation.plain, None
+    tried: dict[float, float] = {}
+
+    def solved(factor: float) -> Array:
+        nonlocal state
+        outcome = run(solver, Problem(term, prior, jnp.asarray(least * factor, jnp.float32)), image, similar=state)
+        state = outcome.state
+        return jnp.asarray(outcome.image)
+
+    for _ in range(2 if positions > 1 else 0):  # the motion during exposures is taken from these
+        term = with_exposure(validation.plain, validation.placed, solved(1.0))
+
+    def missed(factor: float) -> float:
+        if factor not in tried:
+            tried[factor] = float(_missed(validation, solved(factor)))
+        return tried[factor]
+
+    best = 1.0
+    while missed(2 * best) < missed(best) and 2 * best < _HIGHEST:
+        best *= 2
+    while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
+        best /= 2
+    return least * max(1.0, _BEYOND * best * 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best)))
+
+
+def _middle(length: int, part: int) -> slice:
+    begin = max((length - part) // 2, 0)
+    return slice(begin, min(begin + part, length))
+
+
+def _split(
+    stream: Stream, motion: Motion, scale: int, positions: int, optics: LinearOperator | None
+) -> _Validation | None:
+    """The samples, every fifth stretch of them held out; None if there are too few to do so."""
+    frames, height, width = stream.spikes.shape
+    samples = spike_intervals(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+    samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
+    held = _held_out(samples)
+    placed = place(
+        jax.tree.map(jnp.asarray, samples),
+        trajectory_of(motion, key=stream.key, start=0, stop=frames),
+        scale=scale,
+        positions=positions,
+        shape=(scale * height, scale * width),
+    )
+    weight = np.asarray(placed.weight)
+    if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
+        return None
+    rest = eqx.tree_at(lambda p: p.weight, placed, jnp.asarray(weight * ~held))
+    return _Validation(rest, jnp.asarray(weight * held), accumulate(rest, optics=optics))
+
+
+def _held_out(samples: Samples) -> Bool[np.ndarray, " n"]:
+    duration = np.asarray(samples.stop - samples.start)
+    typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
+    stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
+    # From pixel to pixel another stretch, so that no time is missing.
+    turn = samples.row.astype(np.int64) * 7 + samples.column.astype(np.int64) * 3
+    return np.asarray((stretch.astype(np.int64) + turn) % _SHARE == 0)
+
+
+@eqx.filter_jit
+def _missed(validation: _Validation, image: Float[Array, "H W"]) -> Float[Array, ""]:
+    """Mean square by which the picture misses the held-out samples."""
+    placed = validation.placed
+    error = placed.read(validation.plain.blurred(image)) - placed.value
+    return jnp.sum(validation.held * error**2) / jnp.sum(validation.held)
+
+
+def _vertex(before: float, at: float, after: float) -> float:
+    """Where the parabola through three values at −1, 0 and 1 is least, within these."""
+    curvature = before - 2 * at + after
+    return float(np.clip((before - after) / (2 * curvature), -1, 1)) if curvature > 0 else 0.0

@@ -1,0 +1,152 @@
+"""`scsr solve`: what it reads, writes, passes on and refuses."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import scsr_opt
+from scsr_opt.camera import tfp
+from scsr_opt.errors import InputError
+from scsr_opt.report import bicubic, read_picture
+from scsr_opt.solvers import Result, Solution
+
+FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
+
+
+def test_solve_writes_all_that_was_asked_for(scsr, file, asked, spikes):
+    said = scsr(
+        "solve", file, "--scale", "2", "--key", "10", "-o", "a.png", "--report", "a.json", "--figure", "f.png"
+    )  # fmt: skip
+    lines = said.splitlines()
+    assert lines[0] == "ramp: 31 frames of 40x24, key frame 10 -> 80x48 (x2)"
+    assert lines[2].startswith("2 iterations in ") and lines[2].endswith("The picture meets the tolerance.")
+    assert lines[3:] == ["a.png", "a.json", "f.png"]
+    (call,) = asked
+    assert (np.asarray(call["spikes"]) == spikes).all() and call["spikes"].white_rate == 0.6
+    assert call["key"] == 10 and call["scale"] == 2 and call["frames"] == 101
+    assert call.keys() == {"spikes", "scale", "key", "frames"}  # the rest is left to the defaults
+    wanted = np.kron(tfp(spikes, 10, white_rate=0.6), np.ones((2, 2))).clip(0, 1)
+    assert read_picture("a.png") == pytest.approx(wanted, abs=0.5 / 255 + 1e-6)
+    told = json.loads(Path("a.json").read_text())
+    assert (
+        told["picture"]["scale"] == 2 and told["picture"]["key"] == 10 and told["seconds"].keys() == {"read", "solve"}
+    )
+    with Image.open("f.png") as figure:
+        assert figure.width >= 1000 and figure.height >= 500
+
+
+def test_solve_is_silent_when_asked(scsr, file, asked):
+    assert scsr("solve", file, "-o", "a.png", "-q") == ""
+
+
+def test_solve_takes_frames_around_the_key(scsr, file, asked):
+    scsr("solve", file, "-o", "a.npz", "--key", "28", "--frames", "11")
+    (call,) = asked
+    assert call["key"] == 28 and call["frames"] == 11
+    with np.load("a.npz") as stored:
+        assert stored["key"] == 28 and stored["scale"] == 4 and stored["velocity"].shape == (2, HEIGHT, WIDTH)
+
+
+def test_solve_passes_bad_pixels_on(scsr, here, file, asked):
+    np.save(here / "bad.npy", np.eye(HEIGHT, WIDTH, dtype=bool))
+    scsr("solve", file, "-o", "a.png", "--bad-pixels", "bad.npy")
+    assert (asked[0]["spikes"].bad_pixels == np.eye(HEIGHT, WIDTH, dtype=bool)).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["-o", "a.bmp"], "its ending is '.bmp', but pictures end in .png, .tif, .tiff, .npz"),
+        (["-o", "missing/a.png"], "the folder missing does not exist"),
+        (["-o", "."], "its ending is 'missing'"),
+        (["-o", "a.png", "--bits", "32"], "32 bits per pixel cannot be stored in .png"),
+        (["-o", "a.png", "--report", "a.txt"], "--report a.txt must end in .json"),
+        (["-o", "a.png", "--figure", "a.gif"], "--figure a.gif must end in .png or .pdf or .svg"),
+        (["-o", "a.png", "--figure", "a.png"], "--figure and --output are both a.png"),
+        (["-o", "ramp.npz"], "--output ramp.npz is the file that is read"),
+        (["-o", "a.png", "--key", "31"], "Key frame 31 is not in ramp"),
+        (["-o", "a.png", "--scale", "0"], "--scale is 0"),
+        (["-o", "a.png", "--bad-pixels", "small.npy"], "(24, 40)"),
+        (["-o", "a.png", "--size", "41x24"], "41x24"),
+    ],
+)
+def test_solve_refuses_before_it_starts(scsr, here, file, asked, options, message):
+    np.save(here / "small.npy", np.zeros((2, 3)))
+    assert message in scsr("solve", file, *options, code=2)
+    assert asked == [] and sorted(os.listdir(here)) == ["ramp.npz", "small.npy"]
+
+
+def test_a_failed_solve_writes_no_picture(scsr, here, monkeypatch, file):
+    def fail(spikes, *, scale, **_):
+        return Solution(np.full((96, 160), np.nan, np.float32), (), Result.no_samples)
+
+    monkeypatch.setattr(scsr_opt, "reconstruct", fail, raising=False)
+    (here / "a.png").write_text("the old one")
+    said = scsr("solve", file, "-o", "a.png", "--report", "a.json", "--figure", "f.png", code=1)
+    assert said == f"scsr: error: {Result.no_samples.sentence} No picture was written.\n"
+    assert sorted(os.listdir(here)) == ["a.json", "a.png", "ramp.npz"] and (here / "a.png").read_text() == "the old one"
+    assert json.loads((here / "a.json").read_text())["result"]["name"] == "no_samples"
+
+
+def test_a_picture_that_is_not_finite_is_an_error(scsr, here, monkeypatch, file):
+    def lie(spikes, *, scale, **_):
+        return Solution(np.full((96, 160), np.nan, np.float32), (), Result.converged)
+
+    monkeypatch.setattr(scsr_opt, "reconstruct", lie, raising=False)
+    assert "are not finite, so it is not written" in scsr("solve", file, "-o", "a.png", code=2)
+    assert os.listdir(here) == ["ramp.npz"]
+
+
+def test_solve_tells_what_it_learned_of_the_camera(scsr, monkeypatch, file):
+    def learn(spikes, *, scale, **_):
+        stats = {"iterations": 0, "optics_sigma": 0.527, "gain_spread": 0.0431}
+        return Solution(np.zeros((96, 160), np.float32), (), Result.converged, stats)
+
+    monkeypatch.setattr(scsr_opt, "reconstruct", learn, raising=False)
+    said = scsr("solve", file, "-o", "a.png")
+    assert "Lens: blurs by a standard deviation of 0.53 sensor pixels.\n" in said
+    assert "Fixed pattern: gains spread by 4.3 %.\n" in said
+
+
+def test_what_reconstruct_refuses_is_one_line(scsr, monkeypatch, file):
+    def refuse(*_, **__):
+        raise InputError("The scale is 5000, but the picture would not fit into memory.")
+
+    monkeypatch.setattr(scsr_opt, "reconstruct", refuse, raising=False)
+    assert "would not fit" in scsr("solve", file, "-o", "a.png", "--scale", "5000", code=2)
+
+
+def test_from_a_picture_to_a_sharper_one_than_playback(scsr, here):
+    """The whole path with nothing replaced: simulate, solve, compare with the truth."""
+    scsr(
+        "simulate", "sample:camera", "-o", "rec.npz", "--scale", "8", "--velocity", "0.1", "0.15",
+        "--truth", "large.png",
+    )  # fmt: skip
+    scsr("solve", "rec.npz", "--scale", "2", "-o", "a.png", "--figure", "f.png", "--report", "a.json")
+    scsr("play", "rec.npz", "-o", "played.png")
+    truth = read_picture("large.png").reshape(128, 4, 128, 4).mean(axis=(1, 3))
+    enlarged = bicubic(read_picture("played.png"), 2)
+    error, played = (np.abs(image - truth)[16:-16, 16:-16].mean() for image in (read_picture("a.png"), enlarged))
+    assert error < 0.75 * played
+    told = json.loads((here / "a.json").read_text())
+    assert told["motion"]["mean_speed"] == pytest.approx(np.hypot(0.1, 0.15), rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("real_car_400x250.dat", (800, 500)),
+        ("real_roadside_static.npz", (800, 500)),
+        ("real_lowlight_helicopter.npz", (500, 500)),
+    ],
+)
+def test_real_recordings(scsr, shared_data, name, size):
+    scsr("solve", shared_data / "recordings" / name, "--scale", "2", "--frames", "101", "-o", "a.png")
+    with Image.open("a.png") as picture:
+        assert picture.size == size
+        assert np.asarray(picture).std() > 5

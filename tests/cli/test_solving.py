@@ -1,0 +1,147 @@
+"""The options of `scsr solve` that say how: each becomes an argument of `reconstruct`, or one sentence."""
+
+import os
+from typing import get_args
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from scsr_opt import priors, solvers
+from scsr_opt.camera import Windows
+from scsr_opt.cli import solving
+from scsr_opt.motion import ILK, TVL1, Dense, Global, PhaseCorrelation, Still
+from scsr_opt.operators import Blur, Huber, Welsch
+
+HEIGHT, WIDTH = 24, 40  # of the fixture `spikes`
+
+
+@pytest.mark.parametrize(
+    ("motion", "expected"), [("-0.1,0.25", (-0.1, 0.25)), ("0.5,-1", (0.5, -1)), ("v.npy", (2, 3))]
+)
+def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
+    field = np.zeros((2, HEIGHT, WIDTH))
+    field[0], field[1] = 2, 3
+    np.save(here / "v.npy", field)
+    scsr("solve", file, "-o", "a.png", "--motion", motion)
+    velocity = asked[0]["velocity"]
+    assert velocity.shape == (2, HEIGHT, WIDTH) and velocity.dtype == np.float32
+    assert velocity[0] == pytest.approx(expected[0]) and velocity[1] == pytest.approx(expected[1])
+
+
+@pytest.mark.parametrize(
+    ("options", "name", "value"),
+    [
+        ("--motion none", "velocity", Still()),
+        ("--motion global", "velocity", Global()),
+        ("--motion dense", "velocity", Dense()),
+        ("--motion phase", "velocity", PhaseCorrelation()),
+        ("--motion ilk", "velocity", ILK()),
+        ("--motion tvl1", "velocity", TVL1()),
+        ("--refine 2", "refine", 2),
+        ("--samples windows:9", "samples", Windows(9)),
+        ("--robust huber", "robust", Huber()),
+        ("--robust welsch", "robust", Welsch()),
+        ("--gain blind", "gain", "blind"),
+        ("--optics estimate", "optics", "estimate"),
+        ("--prior tv-anisotropic", "prior", priors.TotalVariation(isotropic=False)),
+        ("--prior huber", "prior", priors.HuberTotalVariation()),
+        ("--prior tgv", "prior", priors.TotalGeneralizedVariation()),
+        ("--prior bilateral", "prior", priors.BilateralTotalVariation()),
+        ("--prior wavelet", "prior", priors.WaveletL1()),
+        ("--prior nl-means", "prior", priors.PlugAndPlay(priors.nl_means())),
+        ("--prior red", "prior", priors.RED(priors.nl_means())),
+        ("--bounds non-negative", "prior", priors.Bounded(priors.TotalVariation())),
+        ("--bounds -0.1,2", "prior", priors.Bounded(priors.TotalVariation(), -0.1, 2)),
+        ("--bounds 0,1 --prior wavelet", "prior", priors.Bounded(priors.WaveletL1(), 0, 1)),
+        ("--solver ista", "solver", solvers.ISTA()),
+        ("--solver admm", "solver", solvers.ADMM()),
+        ("--solver condat-vu", "solver", solvers.CondatVu()),
+        ("--solver chambolle-pock", "solver", solvers.ChambollePock()),
+        ("--solver nonlinear-cg", "solver", solvers.NonlinearCG()),
+        ("--solver lbfgs", "solver", solvers.LBFGS()),
+        ("--solver jaxopt-ista", "solver", solvers.JaxoptISTA()),
+        ("--solver jaxopt-fista", "solver", solvers.JaxoptFISTA()),
+        ("--solver jaxopt-admm", "solver", solvers.JaxoptADMM()),
+        ("--iterations 7", "solver", solvers.FISTA(iterations=7)),
+        ("--iterations 7 --solver admm", "solver", solvers.ADMM(iterations=7)),
+        ("--strength 0.5", "strength", 0.5),
+        ("--strength 0", "strength", 0.0),
+    ],
+)
+def test_choices_are_passed_on(scsr, file, asked, options, name, value):
+    scsr("solve", file, "-o", "a.png", *options.split())
+    assert type(asked[0][name]) is type(value) and asked[0][name] == value
+    assert asked[0].keys() == {"spikes", "scale", "key", "frames", name}
+
+
+def test_what_is_said_is_the_default_changes_nothing(scsr, file, asked):
+    scsr(
+        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--prior", "tv", "--solver",
+        "fista", "--refine", "0",
+    )  # fmt: skip
+    assert asked[0].keys() == {"spikes", "scale", "key", "frames"}
+
+
+def test_every_solver_and_prior_by_its_name():
+    """None is forgotten when one is added to the packages."""
+    assert len(get_args(solving.Solver)) == sum(
+        isinstance(kind, type) and issubclass(kind, solvers.Solver) and kind is not solvers.Solver
+        for kind in vars(solvers).values()
+    )
+    abstract = {priors.Prior, priors.Analysis, priors.Bounded}  # bounds are an option of their own
+    kinds = {kind for kind in vars(priors).values() if isinstance(kind, type) and issubclass(kind, priors.Prior)}
+    assert len(get_args(solving.Prior)) == len(kinds - abstract) + 1  # total variation has two names
+
+
+def test_a_lens_is_given_in_sensor_pixels(scsr, file, asked):
+    scsr("solve", file, "-o", "a.png", "--scale", "2", "--optics", "0.6")
+    assert eqx.tree_equal(asked[0]["optics"], Blur.gaussian((2 * HEIGHT, 2 * WIDTH), 1.2))
+
+
+def test_gains_are_read_from_a_file(scsr, here, file, asked):
+    gain = np.random.default_rng(0).uniform(0.9, 1.1, (HEIGHT, WIDTH))
+    np.save(here / "gain.npy", gain)
+    scsr("solve", file, "-o", "a.png", "--gain", "gain.npy")
+    np.testing.assert_array_equal(asked[0]["gain"], gain)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--iterations 0", "--iterations is 0, but it must be at least 1"),
+        ("--strength -1", "--strength is -1, but it must be at least 0 and finite"),
+        ("--strength nan", "--strength is nan"),
+        ("--refine -1", "--refine is -1"),
+        ("--motion fast", "--motion fast is not known"),
+        ("--motion 1,2,3", "--motion 1,2,3 is not known"),
+        ("--motion nan,0", "--motion nan,0 is not known"),
+        ("--motion gone.npy", "--motion gone.npy cannot be read"),
+        ("--motion small.npy", "but a velocity is (2, 24, 40)"),
+        ("--samples windows", "--samples is windows, but it must be intervals or windows:N, N from 1 to 31 frames"),
+        ("--samples windows:0", "--samples is windows:0"),
+        ("--samples windows:32", "--samples is windows:32"),
+        ("--robust cauchy", "--robust"),
+        ("--gain 1.1", "--gain is 1.1, but it must be blind or the name of a .npy file"),
+        ("--gain gone.npy", "--gain gone.npy cannot be read"),
+        ("--gain small.npy", "--gain small.npy holds float64 of shape (2, 3), but gains are (24, 40)"),
+        ("--gain zeros.npy", "finite and above 0"),
+        ("--optics wide", "--optics is wide, but it must be estimate or a number of sensor pixels from 0"),
+        ("--optics=-1", "--optics is -1"),
+        ("--bounds 1,0", "--bounds is 1,0, but it must be LOW,HIGH with LOW below HIGH"),
+        ("--bounds 0", "--bounds is 0"),
+        ("--prior magic", "--prior"),
+        ("--solver magic", "--solver"),
+    ],
+)
+def test_refused_before_it_starts(scsr, here, file, asked, options, message):
+    np.save(here / "small.npy", np.zeros((2, 3)))
+    np.save(here / "zeros.npy", np.zeros((HEIGHT, WIDTH)))
+    assert message in scsr("solve", file, "-o", "a.png", *options.split(), code=2)
+    assert asked == [] and sorted(os.listdir(here)) == ["ramp.npz", "small.npy", "zeros.npy"]
+
+
+def test_a_solver_that_needs_a_smooth_prior_says_so(scsr, here, file):
+    said = scsr("solve", file, "-o", "a.png", "--scale", "1", "--motion", "none", "--solver", "lbfgs", code=2)
+    assert "LBFGS was given TotalVariation, which has kinks; it needs a smooth prior" in said
+    assert os.listdir(here) == ["ramp.npz"]

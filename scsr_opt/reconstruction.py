@@ -32,7 +32,7 @@ from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
-from scsr_opt.strength import validated_strength
+from scsr_opt.strength import strength_of_noise, validated_strength
 
 # Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
 # short enough for motion to be smooth.
@@ -46,7 +46,7 @@ def reconstruct(
     key: SupportsIndex | None = None,
     frames: SupportsIndex = FRAMES,
     white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float] | Estimator | None = None,
+    velocity: ArrayLike | Sequence[float | int] | Estimator | None = None,
     bad_pixels: ArrayLike | None = None,
     samples: Measuring | None = None,
     gain: ArrayLike | Literal["blind"] | None = None,
@@ -77,7 +77,8 @@ def reconstruct(
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
     - `prior`: Ψ; isotropic `TotalVariation` if not given.
-    - `strength`: λ; if not given, the one that predicts intervals which were held out (`validated_strength`).
+    - `strength`: λ; if not given, the one that predicts intervals which were held out
+      (`validated_strength`), or, with a robust loss, by their noise.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.
     - `solver`: `FISTA` if not given. Its limit of iterations holds for the first solve and, where exposures are long
       enough to need them or `robust` is given, for each of three corrections after it.
@@ -131,16 +132,10 @@ def reconstruct(
         return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion.velocity, motion.confidence)
     clock.lap("samples")
 
-    prior = TotalVariation() if prior is None else prior
-    if strength is None:
-        λ = validated_strength(stream, motion, scale=scale, positions=taken.placed.positions, prior=prior, optics=lens)
-    else:
-        λ = strength
-    clock.lap("strength")
     rounds = Rounds(
         solver=FISTA() if solver is None else solver,
-        prior=prior,
-        strength=jnp.asarray(λ, jnp.float32),
+        prior=TotalVariation() if prior is None else prior,
+        strength=jnp.asarray(strength_of_noise(stream, scale) if strength is None else strength, jnp.float32),
         optics=lens,
         robust=robust,
         progress=progress,
@@ -151,6 +146,12 @@ def reconstruct(
     if lens is not optics:
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
+    if strength is None and robust is None:  # outliers that were held out would decide
+        λ = validated_strength(
+            stream, motion, scale=scale, positions=taken.placed.positions, prior=rounds.prior, optics=rounds.optics
+        )
+        rounds = replace(rounds, strength=jnp.asarray(λ, jnp.float32))
+    clock.lap("strength")
     found = rounds(taken.placed, image, state)
     stages = found.outcome.stages
     if blind and found.outcome.result.good:
@@ -173,7 +174,7 @@ def reconstruct(
         "iterations": len(stages),
         "samples": int(jnp.count_nonzero(taken.placed.weight)),
         "positions": taken.placed.positions,
-        "strength": float(λ),
+        "strength": float(rounds.strength),
         "objective": stages[-1].objective,
         "speed_max": float(motion.speed.max()),
         **learned,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
-from scsr_opt.motion.trajectory import Motion
+from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, bilinear, trajectory_of
 
 # A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
 # (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on
@@ -32,6 +32,68 @@ def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]
         return against
     firing = np.asarray(smooth(pictures.firing, jnp.asarray(_WINDOW)))
     return against & (motion.speed <= _SMEAR * firing)
+
+
+def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:
+    """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels."""
+    smoothed = presmoothed(pictures, sharpness)
+    now = drift(
+        smoothed.picture,
+        smoothed.after,
+        jnp.ones_like(smoothed.after),
+        jnp.asarray(motion.velocity),
+        jnp.asarray(motion.acceleration),
+    )
+    return np.asarray(now.residual / jnp.maximum(now.seen, 1))
+
+
+def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> float:
+    """Typical variance of a picture along a good motion."""
+    return float(np.median(variance_along(pictures, motion, sharpness))) + 1e-5
+
+
+# Moments within so many frames make the picture that a motion carries to the others.
+_NEAR = 10.0
+# A squared error counts up to so many times the noise: what is hidden without anybody knowing says little more.
+_ENOUGH = 6.0
+
+
+def missed(
+    pictures: Stretches, motion: Motion, noise: float
+) -> tuple[Float[np.ndarray, "n h w"], Float[np.ndarray, "n h w"]]:
+    """How well a motion predicts each picture from those near the key frame.
+
+    **Returns:** the squared error in units of `noise`, cut off, and how far the motion says that what a pixel shows is
+    visible in the key frame.
+    """
+    smoothed = presmoothed(pictures, 1.0)
+    after = np.asarray(smoothed.after)
+    path = trajectory_of(motion, key=0, start=int(np.floor(after[0])), stop=int(np.ceil(after[-1])) + 1)
+    near = (jnp.abs(smoothed.after) <= max(_NEAR, float(np.abs(after).min()))).astype(jnp.float32)
+    velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
+    present = drift(smoothed.picture, smoothed.after, near, velocity, acceleration).mean
+    error, visible = _missed(smoothed, path, present, jnp.asarray(noise, jnp.float32))
+    return np.asarray(error), np.asarray(visible)
+
+
+@jax.jit
+def _missed(
+    pictures: Stretches, path: Trajectory, present: Float[Array, "h w"], noise: Float[Array, ""]
+) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
+    moments, _, height, width = path.position.shape
+
+    def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:
+        picture, tau = moment
+        at = jnp.clip((tau - path.first) / SPACING, 0, moments - 1)
+        before = jnp.clip(at.astype(jnp.int32), 0, max(moments - 2, 0))
+        beyond = jnp.minimum(before + 1, moments - 1)
+        q = path.position[before] + (at - before.astype(at.dtype)) * (path.position[beyond] - path.position[before])
+        inside = (q >= 0).all(0) & (q[0] <= height - 1) & (q[1] <= width - 1)
+        visible = jnp.minimum(path.visible[before], path.visible[beyond]) * inside.astype(present.dtype)
+        error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
+        return jnp.minimum(error, _ENOUGH), visible
+
+    return jax.lax.map(one, (pictures.picture, pictures.after))
 
 
 @jax.jit

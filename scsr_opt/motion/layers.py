@@ -18,13 +18,15 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed
-from scsr_opt.motion.evidence import contradicted
+from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
 
 # Layers besides the background that are looked for, and the fewest sensor pixels one may have.
 _MOST = 3
 _FEWEST_PIXELS = 40
+# Sensor pixels from the edge of a layer that show something of the next.
+_EDGE = 3
 # Presmoothing (sensor pixels) of the pictures whose agreement decides about labels, and of the mismatch itself: small,
 # so that edges stay where they are.
 _SHARPNESS = 0.6
@@ -49,7 +51,7 @@ def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Moti
     **Returns:** a motion with `layers`; `background` if nothing else was found.
     """
     motions = _find(pictures, background, everywhere)
-    noise = _noise(pictures, everywhere)
+    noise = typical_noise(pictures, everywhere, _SHARPNESS)
     for _ in range(2):  # a layer that nearly no pixel wants goes, and its pixels choose again
         label = _label(pictures, motions, everywhere, noise)
         sizes = np.bincount(label.ravel(), minlength=len(motions))
@@ -59,6 +61,10 @@ def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Moti
         motions = kept
     if len(motions) == 1:
         return motions[0]
+    motions = [
+        motion if motion is background or motion is everywhere else _sharpened(pictures, motion, label == k)
+        for k, motion in enumerate(motions)
+    ]
     layers = Layers(
         velocity=np.stack([motion.velocity for motion in motions]),
         acceleration=np.stack([motion.acceleration for motion in motions]),
@@ -125,17 +131,16 @@ def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
     return Motion.of_velocity(np.broadcast_to(best[:, None, None], motion.velocity.shape))
 
 
-def _noise(pictures: Stretches, motion: Motion) -> float:
-    """Typical variance of a picture along a good motion."""
-    sharp = presmoothed(pictures, _SHARPNESS)
-    now = drift(
-        sharp.picture,
-        sharp.after,
-        jnp.ones_like(sharp.after),
-        jnp.asarray(motion.velocity),
-        jnp.asarray(motion.acceleration),
-    )
-    return float(jnp.median(now.residual / jnp.maximum(now.seen, 1))) + 1e-5
+def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h w"]) -> Motion:
+    """The motion fitted once more, to the inside of its layer: near the edges pictures show some of what lies behind,
+    and that made an object 2 % too slow."""
+    inside = ndimage.binary_erosion(member, iterations=_EDGE)
+    if inside.sum() < _FEWEST_PIXELS:
+        return motion
+    found = parametric(pictures, start=motion, where=inside)
+    # Fewer pixels may speak for fewer numbers: the better of the two.
+    before, after = (variance_along(pictures, m)[inside].mean() for m in (motion, found))
+    return found if after < before else motion
 
 
 def _label(pictures: Stretches, motions: list[Motion], everywhere: Motion, noise: float) -> Int[np.ndarray, "h w"]:

@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 PYTEST_WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint format types pytest notebooks picture constraints setup clean distclean
+.PHONY: help demo peers choosing test test-slow lint format types pytest notebooks picture constraints setup clean distclean
 
 help:
 	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
@@ -16,6 +16,8 @@ help:
 	@echo 'make lint        ruff only            make format   let ruff mend what it can'
 	@echo 'make types       pyright only         make pytest   tests only (PYTEST_ARGS="-k name")'
 	@echo 'make notebooks   run the notebooks and save them with their pictures'
+	@echo 'make peers       other libraries on the same two problems (makes their environments; about 20 minutes)'
+	@echo 'make choosing    solvers and priors timed anew for docs/choosing.md (about 6 minutes)'
 	@echo 'make picture     remake the picture of the README'
 	@echo 'make setup       only make .venv and install'
 	@echo 'make constraints take the newest versions that go together into constraints.txt'
@@ -57,6 +59,12 @@ notebooks: $(DEV_STAMP)
 
 picture: $(RUN_STAMP)
 	$(PY) scripts/first_picture.py docs/first_picture.png
+
+peers: $(RUN_STAMP)
+	$(PY) -m benchmarks.peers
+
+choosing: $(RUN_STAMP)
+	$(PY) -m benchmarks.choosing --write docs/choosing.md --json build/choosing.json
 
 setup: $(DEV_STAMP)
 

@@ -62,7 +62,7 @@ def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Moti
     if len(motions) == 1:
         return motions[0]
     motions = [
-        motion if motion is background or motion is everywhere else _sharpened(pictures, motion, label == k)
+        motion if motion is background or motion is everywhere else _sharpened(pictures, motion, np.asarray(label == k))
         for k, motion in enumerate(motions)
     ]
     layers = Layers(
@@ -134,7 +134,7 @@ def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
 def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h w"]) -> Motion:
     """The motion fitted once more, to the inside of its layer: near the edges pictures show some of what lies behind,
     and that made an object 2 % too slow."""
-    inside = ndimage.binary_erosion(member, iterations=_EDGE)
+    inside = cast(np.ndarray, ndimage.binary_erosion(member, iterations=_EDGE))
     if inside.sum() < _FEWEST_PIXELS:
         return motion
     found = parametric(pictures, start=motion, where=inside)

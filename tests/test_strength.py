@@ -1,0 +1,61 @@
+"""The strength from the recording: by its noise, and by intervals that are held out."""
+
+import numpy as np
+import pytest
+from skimage import data
+
+from scsr_opt.camera import Sensor, simulate
+from scsr_opt.camera.scenes import Static
+from scsr_opt.motion import Motion
+from scsr_opt.placing import Stream
+from scsr_opt.priors import TotalVariation
+from scsr_opt.strength import _held_out, _middle, _vertex, strength_of_noise, validated_strength
+
+SCALE = 2
+
+
+def still(picture, **sensor) -> Stream:
+    made = simulate(Static(picture), scale=SCALE, frames=101, sensor=Sensor(**sensor), seed=0)
+    return Stream(made.spikes, 50, made.sensor.white_rate, None)
+
+
+def validated(stream: Stream) -> float:
+    motion = Motion.none(*stream.spikes.shape[1:])
+    return validated_strength(stream, motion, scale=SCALE, positions=1, prior=TotalVariation())
+
+
+def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
+    """Smooth and dim: the best strength is several times that of the noise between neighbours (measured: 4)."""
+    rows, columns = np.mgrid[0:96, 0:96] / 95.0
+    stream = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
+    assert validated(stream) > 2 * strength_of_noise(stream, SCALE)
+
+
+def test_a_textured_picture_by_day_is_left_at_the_strength_of_its_noise():
+    stream = still(data.gravel()[:96, :96], photons=1000.0)
+    least = strength_of_noise(stream, SCALE)
+    assert least <= validated(stream) < 1.5 * least
+
+
+def test_too_few_samples_leave_the_strength_of_the_noise():
+    stream = Stream(np.ones((9, 3, 3), np.uint8), 4, 0.6, None)
+    assert validated(stream) == strength_of_noise(stream, SCALE)
+
+
+def test_a_fifth_of_every_pixels_time_is_held_out():
+    from scsr_opt.camera.samples import spike_intervals
+
+    samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
+    held = _held_out(samples)
+    assert samples.weight[held].sum() / samples.weight.sum() == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize(("length", "part", "found"), [(10, 4, slice(3, 7)), (5, 8, slice(0, 5)), (7, 4, slice(1, 5))])
+def test_the_middle(length, part, found):
+    assert _middle(length, part) == found
+
+
+def test_the_vertex_of_a_parabola():
+    assert _vertex(4.0, 1.0, 0.0) == pytest.approx(1.0)  # (x − 1)², at the end of what is believed
+    assert _vertex(*((x - 0.25) ** 2 for x in (-1.0, 0.0, 1.0))) == pytest.approx(0.25)
+    assert _vertex(1.0, 1.0, 1.0) == 0.0

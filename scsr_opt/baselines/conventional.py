@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from scsr_opt.baselines.inputs import not_negative, part_of, positive
+from scsr_opt.baselines.inputs import part_of
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
+from scsr_opt.inputs import number
 from scsr_opt.report.figures import bicubic
 from scsr_opt.report.pictures import quantise
 
@@ -52,8 +53,8 @@ def conventional_camera(
     **Raises:** `InputError` if something handed in cannot be used, or the exposure reaches past the recording's end.
     """
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    noise = not_negative(read_noise, "read_noise", "steps of 1/255")
-    seconds = LONGEST if exposure is None else positive(exposure, "exposure", "seconds")
+    noise = number(read_noise, "read_noise", lambda v: v >= 0, "of at least 0, in steps of 1/255")
+    seconds = LONGEST if exposure is None else number(exposure, "exposure", lambda v: v > 0, "above 0, in seconds")
     # Cut at one more than there are: that is refused below, and infinitely many could not be rounded.
     frames = max(round(min(seconds * recording.readout_rate, recording.frames + 1)), 1)
     part = part_of(

@@ -1,7 +1,5 @@
 """What every baseline is handed, checked once and for all in the same way."""
 
-import math
-import operator
 from typing import NamedTuple, SupportsFloat, SupportsIndex
 
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
-from scsr_opt.errors import InputError
+from scsr_opt.inputs import number, picture_shape, whole
 from scsr_opt.motion.estimate import filled
 
 
@@ -61,46 +59,15 @@ def part_of(
     """
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
+    picture_shape(recording, scale)  # fits into memory
     key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
-    rate = recording.white_rate if white_rate is None else positive(white_rate, "white_rate", "spikes per frame")
+    rate = (
+        recording.white_rate
+        if white_rate is None
+        else number(white_rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
+    )
     start, stop = recording.around(key, whole(frames, "frames", 1))
     stream, bad = recording.window(start, stop), recording.bad_pixels
     if bad is not None:
         stream[:, bad] = 0  # whatever they fired, nothing after this line knows
     return Part(stream, key - start, scale, rate, recording.readout_rate, bad)
-
-
-def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
-    """`value` as an int from `least` to `most`, or an `InputError` that names it."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = None
-    if number is None or number < least or (most is not None and number > most):
-        limits = f"at least {least}" if most is None else f"from {least} to {most}"
-        raise InputError(f"{name} is {value!r}; it must be a whole number, {limits}.")
-    return number
-
-
-def positive(value: SupportsFloat, name: str, unit: str) -> float:
-    """`value` as a finite float above 0, or an `InputError` that names it."""
-    number = real(value)
-    if not (math.isfinite(number) and number > 0):
-        raise InputError(f"{name} is {value!r}; it must be a finite number above 0, in {unit}.")
-    return number
-
-
-def not_negative(value: SupportsFloat, name: str, unit: str) -> float:
-    """`value` as a finite float of at least 0, or an `InputError` that names it."""
-    number = real(value)
-    if not (math.isfinite(number) and number >= 0):
-        raise InputError(f"{name} is {value!r}; it must be a finite number of at least 0, in {unit}.")
-    return number
-
-
-def real(value: SupportsFloat) -> float:
-    """`value` as a float, NaN if it is none."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan

@@ -20,6 +20,7 @@ import warnings
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -61,12 +62,15 @@ class _Jaxopt(Solver[JaxoptState]):
         inner = self._method(problem, step_size).init_state(image, problem.strength)
         # jaxopt makes t in JAX's default precision, which need not be the picture's.
         inner = inner._replace(t=jnp.asarray(inner.t, image.dtype))
+        # Nor are all of its numbers of a definite type, without which what was compiled is not met again.
+        inner = jax.tree.map(lambda value: jnp.asarray(value, jnp.asarray(value).dtype), inner)
         return JaxoptState(image, image, inner, step_size)
 
     def step(self, problem: Problem, state: JaxoptState) -> tuple[JaxoptState, Record]:
         β = state.step_size
         ahead = state.inner.velocity if self._accelerated else state.image
         image, inner = self._method(problem, β).update(state.image, state.inner, problem.strength)
+        inner = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), inner, state.inner)
         size = jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny)
         residual = jnp.linalg.norm(image - ahead) / size
         value, prior = problem.data.value(image), problem.strength * problem.prior.value(image)

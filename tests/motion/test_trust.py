@@ -30,6 +30,7 @@ def steady(pictures, velocity):
 def shares(pictures, velocity):
     """Mean share near the key frame, and at both ends, of the middle of the picture (which stays in view)."""
     trust = trusted(pictures, steady(pictures, velocity)).trust
+    assert trust is not None
     share = trust.share[:, 12:-12, 12:-12].mean((1, 2))
     near = np.abs(trust.after) <= 4
     return share[near].mean(), share[[0, -1]].mean()

@@ -19,7 +19,7 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.sampling import DataTerm, accumulate, place
-from scsr_opt.priors.total_variation import TotalVariation
+from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 
@@ -56,7 +56,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sensor", default="400x250", help="width x height")
     parser.add_argument("--scale", type=int, default=4)
-    parser.add_argument("--frames", type=int, nargs="+", default=[101, 401])
+    parser.add_argument("--frames", type=int, nargs="+", default=[101, 1001])
     parser.add_argument("--rounds", type=int, default=25)
     arguments = parser.parse_args()
     width, height = (int(n) for n in arguments.sensor.split("x"))
@@ -66,7 +66,7 @@ def main() -> None:
     runs = {}
     for frames in arguments.frames:
         term, seconds, count = data_term(whole.window(*whole.around(None, frames)), arguments.scale)
-        problem = Problem(term, TotalVariation(), jnp.asarray(1e-3, jnp.float32))
+        problem = Problem(term, HuberTotalVariation(), jnp.asarray(1e-3, jnp.float32))
         state = solver.init(problem, jnp.full(term.shape, 0.5, jnp.float32))
         state, _ = jax.block_until_ready(step(solver, problem, state))
         runs[frames] = (problem, state, [])

@@ -17,7 +17,7 @@ import numpy as np
 
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.sampling import DataTerm, Stencil
-from scsr_opt.priors.total_variation import TotalVariation
+from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 
 
 def milliseconds(function: Callable, *arguments) -> list[float]:
@@ -43,7 +43,7 @@ def main() -> None:
     stencil = Stencil(jax.random.uniform(keys[1], (5, *shape)))
     aperture = Aperture(shape, arguments.scale)
     data = DataTerm(stencil, jax.random.uniform(keys[2], shape), jnp.float32(1), aperture, None)
-    prior = TotalVariation()
+    prior = HuberTotalVariation()
     state = prior.initial_state(picture)
     strength = jnp.float32(0.01)
     one = picture.nbytes
@@ -53,7 +53,7 @@ def main() -> None:
         "aperture": (lambda b, x: b(x), (aperture, picture), 2 * one),
         "aperture, adjoint": (lambda b, x: b.adjoint(x), (aperture, picture), 2 * one),
         "f and its gradient": (lambda f, x: f.value_and_gradient(x), (data, picture), 8 * one),
-        "total variation": (lambda p, x: p.value(x), (prior, picture), one),
+        "Huber-TV": (lambda p, x: p.value(x), (prior, picture), one),
         # Each dual step reads the picture and two dual fields, twice (momentum), and writes two.
         f"its proximal step ({prior.iterations})": (
             lambda p, x, s: p.prox(x, strength, s), (prior, picture, state), prior.iterations * 9 * one,

@@ -24,8 +24,8 @@ from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
 from scsr_opt.operators.sampling import DataTerm
 from scsr_opt.placing import Measurements, Stream, measured
+from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
-from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.progress import Progress
 from scsr_opt.rounds import Rounds
 from scsr_opt.solvers.iterate import Solver, run
@@ -76,12 +76,12 @@ def reconstruct(
       the scene moves by a pixel). 1 if not given.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
-    - `prior`: Ψ; isotropic `TotalVariation` if not given.
+    - `prior`: Ψ; `HuberTotalVariation` if not given.
     - `strength`: λ; if not given, the one that predicts intervals which were held out
       (`validated_strength`), or, with a robust loss, by their noise.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.
     - `solver`: `FISTA` if not given. Its limit of iterations holds for the first solve and, where exposures are long
-      enough to need them or `robust` is given, for each of three corrections after it.
+      enough to need them or `robust` is given, for each of up to ten corrections after it.
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
@@ -98,7 +98,7 @@ def reconstruct(
     scale = whole(scale, "scale", 1)
     shape = picture_shape(recording, scale)
     check_type(samples, Measuring, "samples", "Intervals()")
-    check_type(prior, Prior, "prior", "TotalVariation()")
+    check_type(prior, Prior, "prior", "HuberTotalVariation()")
     check_type(solver, Solver, "solver", "FISTA()")
     check_type(robust, Loss, "robust", "Huber()")
     lens = None if isinstance(optics, str) and optics == "estimate" else optics
@@ -134,7 +134,7 @@ def reconstruct(
 
     rounds = Rounds(
         solver=FISTA() if solver is None else solver,
-        prior=TotalVariation() if prior is None else prior,
+        prior=HuberTotalVariation() if prior is None else prior,
         strength=jnp.asarray(strength_of_noise(stream, scale) if strength is None else strength, jnp.float32),
         optics=lens,
         robust=robust,

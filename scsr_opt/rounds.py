@@ -1,8 +1,8 @@
 """The outer loop of a reconstruction, where the true data term is not the quadratic that the solvers take.
 
-Each round puts a quadratic on or above the true data term that touches it at the picture so far, and solves; the
-objective falls from round to round (majorise–minimise). Two things ask for that: exposures during which the picture
-moves (`with_exposure`), and a robust loss (`robust_factors`). Where there is neither, one round is all.
+Each round puts a quadratic on or above the true data term that touches it near the picture so far, and solves
+(majorise–minimise, with momentum). Two things ask for that: exposures during which the picture moves
+(`with_exposure`), and a robust loss (`robust_factors`). Where there is neither, one round is all.
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +21,13 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.iterate import Outcome, Solver, run
 from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.solution import Stage
 
-# Rounds after the first solve; each takes back most of what is left.
-CORRECTIONS = 3
-# What is corrected next need not be solved to the end.
-_LOOSE = 5.0
+# Rounds after the first solve, at most. By day three do, in dim light, where exposures are long, up to ten.
+CORRECTIONS = 10
+# What is corrected next need not be solved to the end; one that changed the picture by less than so many tolerances is
+# followed by the last one.
+_LOOSE, _SETTLED = 5.0, 10.0
 
 
 class Found(NamedTuple):
@@ -60,9 +62,12 @@ class Rounds:
         rounds = 1 + (CORRECTIONS if placed.positions > 1 or self.robust is not None else 0)
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
-            term, rounds = self._corrected(plain, placed, self.solver.image(state)), max(rounds - 1, 1)
-        stages = []
+            start = self.solver.image(state)
+            term, rounds = self._corrected(plain, placed, start, start), max(rounds - 1, 1)
+        stages: list[Stage] = []
+        before, momentum, settled = None, 1.0, False
         for following in reversed(range(rounds)):
+            last = settled or not following
             outcome = run(
                 self.solver,
                 Problem(term, self.prior, self.strength),
@@ -70,22 +75,33 @@ class Rounds:
                 similar=state,
                 progress=self.progress,
                 keep_images=self.keep_images,
-                tolerance=self.solver.tolerance * (_LOOSE if following else 1),
+                tolerance=self.solver.tolerance * (1 if last else _LOOSE),
             )
             stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
-            if not following or not outcome.result.good:
+            if last or not outcome.result.good:
                 break
-            state = outcome.state
-            term = self._corrected(plain, placed, jnp.asarray(outcome.image))
+            state, found = outcome.state, jnp.asarray(outcome.image)
+            touch = found
+            if before is not None:
+                # The rounds are proximal-gradient steps in the metric of M; as FISTA's, they go faster with momentum.
+                step, following_momentum = found - before, (1 + (1 + 4 * momentum**2) ** 0.5) / 2
+                touch = found + (momentum - 1) / following_momentum * step
+                momentum = following_momentum
+                settled = bool(jnp.linalg.norm(step) <= _SETTLED * self.solver.tolerance * jnp.linalg.norm(found))
+            before = found
+            term = self._corrected(plain, placed, found, touch)
         return Found(outcome._replace(stages=tuple(stages)), _blurred(plain, jnp.asarray(outcome.image)))
 
-    def _corrected(self, plain: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"]) -> DataTerm:
-        """The quadratic that lies on or above the true data term and touches it at `image`."""
+    def _corrected(
+        self, plain: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"], touch: Float[Array, "H W"]
+    ) -> DataTerm:
+        """The quadratic that lies on or above the true data term, its losses' weights as they are at `image`, and
+        touches it at `touch`."""
         factors = None
         if self.robust is not None:
             factors = robust_factors(self.robust, placed, plain, image)
             plain = accumulate(placed, robust=factors, optics=self.optics)
-        return plain if placed.positions == 1 else with_exposure(plain, placed, image, robust=factors)
+        return plain if placed.positions == 1 else with_exposure(plain, placed, touch, robust=factors)
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
         own = eqx.filter_eval_shape(self.solver.init, problem, image)

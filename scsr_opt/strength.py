@@ -25,9 +25,9 @@ from scsr_opt.solvers.iterate import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 
-# λ = _SMOOTHING · √(noise / frames) · (2 / scale)^¾. The square root is how far noise moves the gradient of f at a
-# pixel, which total variation has to hold down; the constant and the exponent were found on stills with known answers,
-# three kinds of motion, two lights and two scales (docs/measurements.md).
+# λ = _SMOOTHING · √(noise / frames) · 2 / scale. The square root is how far noise moves the gradient of f at a
+# pixel, which total variation has to hold down; the constant and the scale's part were found on stills with known
+# answers, several kinds of motion, two lights and two scales (docs/measurements.md).
 _SMOOTHING = 0.06
 
 # Side of the part of the picture that λ is validated on, in high-resolution pixels.
@@ -36,9 +36,9 @@ _SIDE = 256
 # share a spike, whose rounding makes the one too long and the other too short.
 _SHARE, _STRETCH = 5, 8
 # Held-out intervals tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
-# that gives the best picture was 1.4 times the one that predicts best. Nor is less than by noise alone believed, where
-# it always lost.
-_BEYOND = 1.4
+# that gives the best picture was 1.4 times the one that predicts best. Nor is much less than by noise alone believed,
+# where it always lost.
+_BEYOND, _AT_LEAST = 1.4, 0.7
 _LOWEST, _HIGHEST = 0.5, 16.0
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
@@ -58,7 +58,7 @@ def strength_of_noise(stream: Stream, scale: int) -> float:
     else:
         noise = 0.0
     noise = max(noise, 1e-3)  # spikes are counted in whole frames: never free of it
-    return _SMOOTHING * (noise / len(stream.spikes)) ** 0.5 * (2 / scale) ** 0.75
+    return _SMOOTHING * (noise / len(stream.spikes)) ** 0.5 * 2 / scale
 
 
 class _Validation(NamedTuple):
@@ -122,7 +122,7 @@ def validated_strength(
         best *= 2
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2
-    return least * max(1.0, _BEYOND * best * 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best)))
+    return least * max(_AT_LEAST, _BEYOND * best * 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best)))
 
 
 def _middle(length: int, part: int) -> slice:

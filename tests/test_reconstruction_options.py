@@ -179,11 +179,11 @@ def test_going_on_counts_for_iterations(made):
 @pytest.mark.parametrize(
     ("change", "asked"),
     [
-        ({"solver": ADMM()}, "ADMM with TotalVariation can go on from to a picture of (48, 48)"),
+        ({"solver": ADMM()}, "ADMM with HuberTotalVariation can go on from to a picture of (48, 48)"),
         ({"prior": WaveletL1()}, "FISTA with WaveletL1"),
         ({"prior": Bounded(TotalVariation())}, "FISTA with Bounded"),
-        ({"scale": 3}, "FISTA with TotalVariation can go on from to a picture of (72, 72)"),
-        ({"state": "nothing"}, "FISTA with TotalVariation"),
+        ({"scale": 3}, "FISTA with HuberTotalVariation can go on from to a picture of (72, 72)"),
+        ({"state": "nothing"}, "FISTA with HuberTotalVariation"),
     ],
 )
 def test_a_state_that_does_not_fit(made, usual, change, asked):
@@ -215,7 +215,7 @@ def test_bounds_hold(made, usual):
 
 def test_a_prior_with_kinks_is_refused_by_smooth_solvers(made):
     with pytest.raises(InputError, match="LBFGS was given TotalVariation, which has kinks"):
-        reconstruct(made.spikes, scale=1, velocity=(0.0, 0.0), solver=LBFGS())
+        reconstruct(made.spikes, scale=1, velocity=(0.0, 0.0), prior=TotalVariation(), solver=LBFGS())
 
 
 # ---- in general ------------------------------------------------------------------------------------------------------

@@ -70,10 +70,11 @@ class Solving:
     prior: Annotated[
         Prior,
         Parameter(
-            help="What the picture is taken to be like: tv: flat with edges; huber: the same, smooth; tgv: slopes with "
-            "edges; bilateral, wavelet: several scales; nl-means, red: texture that repeats (slow)."
+            help="What the picture is taken to be like: huber: flat with edges and soft shading; tv: without the "
+            "shading; tgv: slopes with edges; bilateral, wavelet: several scales; nl-means, red: texture that repeats "
+            "(slow)."
         ),
-    ] = "tv"
+    ] = "huber"
     bounds: Annotated[
         str | None,
         Parameter(
@@ -163,14 +164,14 @@ class Solving:
         return Blur.gaussian((scale * recording.height, scale * recording.width), float(self.optics) * scale)
 
     def _prior(self) -> Any:
-        if self.prior == "tv" and self.bounds is None:
+        if self.prior == "huber" and self.bounds is None:
             return None
         from scsr_opt import priors
 
         prior = {
+            "huber": priors.HuberTotalVariation,
             "tv": priors.TotalVariation,
             "tv-anisotropic": lambda: priors.TotalVariation(isotropic=False),
-            "huber": priors.HuberTotalVariation,
             "tgv": priors.TotalGeneralizedVariation,
             "bilateral": priors.BilateralTotalVariation,
             "wavelet": priors.WaveletL1,

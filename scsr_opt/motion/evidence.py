@@ -55,7 +55,7 @@ def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 
 # Moments within so many frames make the picture that a motion carries to the others.
 _NEAR = 10.0
 # A squared error counts up to so many times the noise: what is hidden without anybody knowing says little more.
-_ENOUGH = 6.0
+MISSED = 6.0
 
 
 def missed(
@@ -91,7 +91,7 @@ def _missed(
         inside = (q >= 0).all(0) & (q[0] <= height - 1) & (q[1] <= width - 1)
         visible = jnp.minimum(path.visible[before], path.visible[beyond]) * inside.astype(present.dtype)
         error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
-        return jnp.minimum(error, _ENOUGH), visible
+        return jnp.minimum(error, MISSED), visible
 
     return jax.lax.map(one, (pictures.picture, pictures.after))
 

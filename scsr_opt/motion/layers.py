@@ -8,6 +8,7 @@ to lie there and that are seen in the key frame at that point, the one in front.
 hidden in the key frame and the sample has to be left out.
 """
 
+from collections.abc import Iterator
 from typing import cast
 
 import equinox as eqx
@@ -18,13 +19,15 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed
-from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
+from scsr_opt.motion.evidence import MISSED, contradicted, missed, typical_noise, variance_along
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
 
 # Layers besides the background that are looked for, and the fewest sensor pixels one may have.
 _MOST = 3
 _FEWEST_PIXELS = 40
+# Velocities that a region is tried with; those nearer than this (sensor pixels per frame) are alike.
+_COMMON, _ALIKE = 3, 0.02
 # Sensor pixels from the edge of a layer that show something of the next.
 _EDGE = 3
 # Presmoothing (sensor pixels) of the pictures whose agreement decides about labels, and of the mismatch itself: small,
@@ -51,6 +54,24 @@ def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Moti
     **Returns:** a motion with `layers`; `background` if nothing else was found.
     """
     motions = _find(pictures, background, everywhere)
+    found = _layers(pictures, motions, everywhere)
+    if len(motions) < 3 or motions[-1] is not everywhere:
+        return found
+    # Along the edges of something that moves, the dense estimate takes what it uncovers for another surface.
+    without = _layers(pictures, motions[:-1], everywhere)
+    noise = typical_noise(pictures, everywhere)
+    return min(without, found, key=lambda motion: _mispredicted(pictures, motion, noise))
+
+
+def _mispredicted(pictures: Stretches, motion: Motion, noise: float) -> float:
+    """How badly a motion predicts the pictures; what it says is hidden counts as missed."""
+    error, seen = missed(pictures, motion, noise)
+    return float(np.mean(seen * error + (1 - seen) * MISSED))
+
+
+def _layers(pictures: Stretches, motions: list[Motion], everywhere: Motion) -> Motion:
+    """Layers with these motions, `everywhere` for the noise and confidence; a single motion if one is left of them."""
+    background = motions[0]
     noise = typical_noise(pictures, everywhere, _SHARPNESS)
     for _ in range(2):  # a layer that nearly no pixel wants goes, and its pixels choose again
         label = _label(pictures, motions, everywhere, noise)
@@ -90,14 +111,17 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
         region = regions == 1 + sizes.argmax()
         if sizes.max() < _FEWEST_PIXELS:
             break
-        # In dim light a fit to the pictures may go astray; the dense estimate then still shows the way.
-        fits = (parametric(pictures, start=_commonest(everywhere, region), where=region), _affine(everywhere, region))
-        against = [contradicted(pictures, fit) | (fit.speed > fastest) for fit in fits]
-        best = int(np.argmin([(region & wrong).sum() for wrong in against]))
-        explained = region & ~against[best]
+        # The region holds what the surface uncovers, too, and in dim light a fit to the pictures may go astray. Of what
+        # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
+        best = against = None
+        for fit in _candidates(pictures, everywhere, region):
+            wrong = contradicted(pictures, fit) | (fit.speed > fastest)
+            if against is None or (region & wrong).sum() < (region & against).sum():
+                best, against = fit, wrong
+        explained = region & ~against
         if explained.sum() > 0.3 * region.sum():
-            motions.append(fits[best])
-            left, unexplained = left & ~explained, unexplained & against[best]
+            motions.append(best)
+            left, unexplained = left & ~explained, unexplained & against
         left = left & ~region
     if len(motions) == 1 or unexplained.mean() > 0.01:
         motions.append(everywhere)
@@ -121,14 +145,29 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
     return Motion.of_velocity(np.einsum("p,pchw->chw", numbers, fields))
 
 
-def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
-    """The velocity that most pixels of a region are near to, by confidence: a mean would mix right and wrong ones."""
+def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"]) -> Iterator[Motion]:
+    """Motions that a region may have."""
+    commonest = _commonest(everywhere, region)
+    yield from commonest
+    yield parametric(pictures, start=commonest[0], where=region)
+    yield _affine(everywhere, region)
+
+
+def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
+    """The velocities that most pixels of a region are near to, by confidence: a mean would mix right and wrong ones."""
     velocity, weight = motion.velocity[:, region].T, motion.confidence[region] + 1e-3
     every = max(1, len(velocity) // 500)
     some, weight = velocity[::every], weight[::every]
-    near = np.exp(-0.5 * ((some[:, None] - some[None]) ** 2).sum(-1) / 0.02**2) @ weight
-    best = some[int(near.argmax())]
-    return Motion.of_velocity(np.broadcast_to(best[:, None, None], motion.velocity.shape))
+    distance = ((some[:, None] - some[None]) ** 2).sum(-1)
+    votes = np.exp(-0.5 * distance / _ALIKE**2) @ weight
+    found = []
+    for _ in range(_COMMON):
+        best = int(votes.argmax())
+        found.append(Motion.of_velocity(np.broadcast_to(some[best][:, None, None], motion.velocity.shape)))
+        votes = np.where(distance[best] < (3 * _ALIKE) ** 2, 0, votes)
+        if not votes.any():
+            break
+    return found
 
 
 def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h w"]) -> Motion:

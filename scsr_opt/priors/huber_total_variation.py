@@ -23,7 +23,7 @@ class HuberTotalVariation(Analysis[Dual]):
     The conjugate is φ*(p) = δ/2·|p|² within the unit ball. The proximal step is inexact, by dual steps (`Analysis`).
 
     **Arguments:**
-    - `knee`: δ > 0, in intensity per pixel; 0.01 is below what is seen as an edge.
+    - `knee`: δ > 0, in intensity per pixel; 0.02 is below what is seen as an edge.
     - `iterations`: dual steps in each proximal step, ≥ 1.
 
     **Errors:** `InputError` for a knee that is not positive and finite, or fewer than one iteration.
@@ -34,7 +34,7 @@ class HuberTotalVariation(Analysis[Dual]):
     knee: float = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
-    def __init__(self, knee: float | int = 0.01, iterations: int = 10):
+    def __init__(self, knee: float | int = 0.02, iterations: int = 5):
         self.knee = positive("HuberTotalVariation", "the knee", knee)
         self.iterations = whole("HuberTotalVariation", iterations, "iterations")
 

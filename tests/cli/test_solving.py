@@ -45,14 +45,14 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
         ("--gain blind", "gain", "blind"),
         ("--optics estimate", "optics", "estimate"),
         ("--prior tv-anisotropic", "prior", priors.TotalVariation(isotropic=False)),
-        ("--prior huber", "prior", priors.HuberTotalVariation()),
+        ("--prior tv", "prior", priors.TotalVariation()),
         ("--prior tgv", "prior", priors.TotalGeneralizedVariation()),
         ("--prior bilateral", "prior", priors.BilateralTotalVariation()),
         ("--prior wavelet", "prior", priors.WaveletL1()),
         ("--prior nl-means", "prior", priors.PlugAndPlay(priors.nl_means())),
         ("--prior red", "prior", priors.RED(priors.nl_means())),
-        ("--bounds non-negative", "prior", priors.Bounded(priors.TotalVariation())),
-        ("--bounds -0.1,2", "prior", priors.Bounded(priors.TotalVariation(), -0.1, 2)),
+        ("--bounds non-negative", "prior", priors.Bounded(priors.HuberTotalVariation())),
+        ("--bounds -0.1,2", "prior", priors.Bounded(priors.HuberTotalVariation(), -0.1, 2)),
         ("--bounds 0,1 --prior wavelet", "prior", priors.Bounded(priors.WaveletL1(), 0, 1)),
         ("--solver ista", "solver", solvers.ISTA()),
         ("--solver admm", "solver", solvers.ADMM()),
@@ -77,7 +77,7 @@ def test_choices_are_passed_on(scsr, file, asked, options, name, value):
 
 def test_what_is_said_is_the_default_changes_nothing(scsr, file, asked):
     scsr(
-        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--prior", "tv", "--solver",
+        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--prior", "huber", "--solver",
         "fista", "--refine", "0",
     )  # fmt: skip
     assert asked[0].keys() == {"spikes", "scale", "key", "frames"}
@@ -142,6 +142,6 @@ def test_refused_before_it_starts(scsr, here, file, asked, options, message):
 
 
 def test_a_solver_that_needs_a_smooth_prior_says_so(scsr, here, file):
-    said = scsr("solve", file, "-o", "a.png", "--scale", "1", "--motion", "none", "--solver", "lbfgs", code=2)
+    said = scsr("solve", file, "-o", "a.png", "--scale", "1", "--motion", "none", "--prior", "tv", "--solver", "lbfgs", code=2)
     assert "LBFGS was given TotalVariation, which has kinks; it needs a smooth prior" in said
     assert os.listdir(here) == ["ramp.npz"]

@@ -1,6 +1,6 @@
 """Does an iteration cost more when more frames went in?
 
-    python -m benchmarks.frames [--sensor 400x250] [--scale 4] [--frames 101 401]
+    python -m benchmarks.frames [--sensor 400x250] [--scale 4] [--frames 101 1001]
 
 One recording of a moving scene is accumulated from few and from many frames; then the two solvers take turns,
 iteration by iteration, so that whatever else the machine does hits both alike. Prints milliseconds per iteration

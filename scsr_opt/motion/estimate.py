@@ -96,13 +96,15 @@ def _serve(pictures: Stretches, layers: Motion, everywhere: Motion) -> bool:
 def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, float]:
     """One motion for the whole scene (`parametric`), and the share of the pixels that contradict it.
 
-    Where that is too much, phase correlation gives another start. In dim light near times, by which the fit begins,
-    show nothing: at 0.12 spikes per frame of white it missed 0.3 px per frame by 0.27 from rest, by 0.03 from there.
+    Where that is too much, phase correlation gives another start, if it is itself contradicted by fewer. In dim light
+    near times, by which the fit begins, show nothing: at 0.12 spikes per frame of white it missed 0.3 px per frame by
+    0.27 from rest, by 0.03 from there.
     """
     motion = parametric(pictures, affine=affine)
     left = _left(pictures, motion)
-    if left > _TOLERATED_GLOBAL:
-        other = parametric(pictures, affine=affine, start=PhaseCorrelation()(pictures))
+    start = PhaseCorrelation()(pictures) if left > _TOLERATED_GLOBAL else None
+    if start is not None and _left(pictures, start) < left:
+        other = parametric(pictures, affine=affine, start=start)
         left_then = _left(pictures, other)
         if left_then < left:
             return other, left_then

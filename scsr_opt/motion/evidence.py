@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
-from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, bilinear, trajectory_of
+from scsr_opt.motion.trajectory import Motion, bilinear, seen_at
 
 # A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
 # (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on
@@ -56,44 +56,46 @@ def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 
 _NEAR = 10.0
 # A squared error counts up to so many times the noise: what is hidden without anybody knowing says little more.
 MISSED = 6.0
+# One picture in so many is predicted: enough to compare motions.
+_EVERY = 3
 
 
 def missed(
     pictures: Stretches, motion: Motion, noise: float
 ) -> tuple[Float[np.ndarray, "n h w"], Float[np.ndarray, "n h w"]]:
-    """How well a motion predicts each picture from those near the key frame.
+    """How well a motion predicts pictures from those near the key frame.
 
     **Returns:** the squared error in units of `noise`, cut off, and how far the motion says that what a pixel shows is
-    visible in the key frame.
+    visible in the key frame; for every third picture.
     """
     smoothed = presmoothed(pictures, 1.0)
     after = np.asarray(smoothed.after)
-    path = trajectory_of(motion, key=0, start=int(np.floor(after[0])), stop=int(np.ceil(after[-1])) + 1)
     near = (jnp.abs(smoothed.after) <= max(_NEAR, float(np.abs(after).min()))).astype(jnp.float32)
     velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
     present = drift(smoothed.picture, smoothed.after, near, velocity, acceleration).mean
-    error, visible = _missed(smoothed, path, present, jnp.asarray(noise, jnp.float32))
+    position, visible = seen_at(motion, smoothed.after[::_EVERY])
+    error, visible = _missed(smoothed.picture[::_EVERY], position, visible, present, jnp.asarray(noise, jnp.float32))
     return np.asarray(error), np.asarray(visible)
 
 
 @jax.jit
 def _missed(
-    pictures: Stretches, path: Trajectory, present: Float[Array, "h w"], noise: Float[Array, ""]
+    pictures: Float[Array, "n h w"],
+    position: Float[Array, "n 2 h w"],
+    visible: Float[Array, "n h w"],
+    present: Float[Array, "h w"],
+    noise: Float[Array, ""],
 ) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
-    moments, _, height, width = path.position.shape
+    height, width = present.shape
 
     def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:
-        picture, tau = moment
-        at = jnp.clip((tau - path.first) / SPACING, 0, moments - 1)
-        before = jnp.clip(at.astype(jnp.int32), 0, max(moments - 2, 0))
-        beyond = jnp.minimum(before + 1, moments - 1)
-        q = path.position[before] + (at - before.astype(at.dtype)) * (path.position[beyond] - path.position[before])
+        picture, q = moment
         inside = (q >= 0).all(0) & (q[0] <= height - 1) & (q[1] <= width - 1)
-        visible = jnp.minimum(path.visible[before], path.visible[beyond]) * inside.astype(present.dtype)
         error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
-        return jnp.minimum(error, MISSED), visible
+        return jnp.minimum(error, MISSED), inside.astype(present.dtype)
 
-    return jax.lax.map(one, (pictures.picture, pictures.after))
+    error, inside = jax.lax.map(one, (pictures, position))
+    return error, visible * inside
 
 
 @jax.jit

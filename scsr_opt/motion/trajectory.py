@@ -143,17 +143,21 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
     if not np.any(motion.velocity) and not np.any(motion.acceleration):
         moments = moments[:1]  # nothing moves: one moment serves all
-    after, first = jnp.asarray(moments - np.float32(key)), jnp.asarray(moments[0])
+    after = jnp.asarray(moments - np.float32(key))
+    position, visible = seen_at(motion, after)
+    return Trajectory(jnp.asarray(moments[0]), position, _believed(motion.trust, visible, position, after))
+
+
+def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
+    """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there."""
     layers = motion.layers
     if layers is None:
         position = inverse(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
-        visible = jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
-        return Trajectory(first, position, _believed(motion.trust, visible, position, after))
+        return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
     order = np.argsort(-layers.depth, kind="stable")
     nearest_first = (layers.velocity[order], layers.acceleration[order])
     membership = (layers.label == order[:, None, None]).astype(np.float32)
-    position, visible = _front(*(jnp.asarray(v) for v in (*nearest_first, membership)), after)
-    return Trajectory(first, position, _believed(motion.trust, visible, position, after))
+    return _front(*(jnp.asarray(v) for v in (*nearest_first, membership)), after)
 
 
 def _believed(

@@ -142,6 +142,7 @@ def test_refused_before_it_starts(scsr, here, file, asked, options, message):
 
 
 def test_a_solver_that_needs_a_smooth_prior_says_so(scsr, here, file):
-    said = scsr("solve", file, "-o", "a.png", "--scale", "1", "--motion", "none", "--prior", "tv", "--solver", "lbfgs", code=2)
+    command = ("solve", file, "-o", "a.png", "--scale", "1", "--motion", "none", "--prior", "tv", "--solver", "lbfgs")
+    said = scsr(*command, code=2)
     assert "LBFGS was given TotalVariation, which has kinks; it needs a smooth prior" in said
     assert os.listdir(here) == ["ramp.npz"]

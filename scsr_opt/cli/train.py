@@ -1,0 +1,60 @@
+"""`scsr train`: weights for one of the networks."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import Quiet, Whole, progress, say_error
+
+
+def train(
+    config: Annotated[
+        str,
+        Parameter(
+            help="A .toml file, or the name of a configuration that comes with the program: small-x2, small-x4, "
+            "full-x2, full-x4, or smoke, which takes half a minute and learns nothing."
+        ),
+    ],
+    /,
+    *,
+    out: Annotated[
+        Path | None,
+        Parameter(
+            name=["--out", "-o"],
+            help="Folder of the run; it is made if it is not there. Default: run-CONFIG.",
+        ),
+    ] = None,
+    pictures: Annotated[
+        Path | None,
+        Parameter(
+            help="Folder of pictures to train on; folders in it that hold three or more are videos, one frame each. "
+            "Default: the configuration's, else pictures that come with scikit-image."
+        ),
+    ] = None,
+    steps: Annotated[Whole | None, Parameter(help="Steps to train for in all. Default: the configuration's.")] = None,
+    quiet: Quiet = False,
+) -> int:
+    """Train a network on simulated recordings.
+
+    A folder that holds a run of the same configuration is gone on with: stop it at any moment, and start it again. The
+    folder has the weights (best.scsr, last.scsr), the losses and scores (.csv, curves.png) and sample pictures:
+    playback, network and truth.
+    """
+    # `learned` builds on this package; it is known here by name only, and only while the command runs.
+    from learned.configs import TrainingConfig
+    from learned.training import train as run
+
+    chosen = TrainingConfig.read(config)
+    if pictures is not None:
+        chosen = chosen.changed(pictures=str(pictures))
+    if steps is not None:
+        chosen = chosen.changed(steps=steps)
+    folder = Path(f"run-{Path(config).stem}") if out is None else out
+    trained = run(chosen, folder, progress=progress(quiet))
+    if not trained.result.good:
+        say_error(trained.result.sentence)
+        return 1
+    if not quiet:
+        print("\n".join([*trained.lines(), str(folder)]))
+    return 0

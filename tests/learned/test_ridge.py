@@ -1,0 +1,268 @@
+"""Learned ridge regularisers: their bounds, their proximal step, and the solvers that take them."""
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import skimage.data
+
+import learned.ridge as ridge
+import scsr_opt
+from learned.ridge import RidgeRegulariser
+from learned.ridge_training import WEAKEST, bend, initial, parts, pictures, train
+from scsr_opt.errors import InputError
+from scsr_opt.solvers import FISTA, ISTA, NonlinearCG
+
+KINDS = ("convex", "weakly_convex")
+
+
+@pytest.fixture(params=KINDS)
+def prior(request) -> RidgeRegulariser:
+    return ridge.load(request.param)
+
+
+def noise(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def picture(side: int = 40) -> jax.Array:
+    return jnp.asarray(skimage.data.camera()[100 : 100 + side, 200 : 200 + side] / 255, jnp.float32)
+
+
+def test_shipped_files_are_small_and_carry_a_card():
+    for kind in KINDS:
+        path = Path(ridge.__file__).parent / "checkpoints" / f"ridge_{kind}.npz"
+        assert path.stat().st_size < 50_000
+        card = json.loads(path.with_suffix(".json").read_text())
+        assert {"steps", "minutes", "patches", "curvature", "concavity"} <= set(card)
+        prior = ridge.load(kind)
+        assert card["curvature"] == pytest.approx(prior.curvature, rel=1e-4)
+        assert card["concavity"] == pytest.approx(prior.concavity, rel=1e-4, abs=1e-9)
+
+
+def test_convex_has_no_negative_slope_and_the_other_has():
+    assert ridge.load("convex").concavity == 0
+    weak = ridge.load("weakly_convex")
+    assert 0 < weak.concavity < weak.curvature
+
+
+@pytest.mark.parametrize("shape", [(12, 12), (3, 20), (31, 24)])
+def test_adjoint(prior, shape):
+    x = jnp.asarray(noise(1, *shape), jnp.float32)
+    field = jnp.asarray(noise(2, *shape, len(prior.filters)), jnp.float32)
+    forward = jnp.sum(ridge.correlate(prior.filters, x) * field)
+    backward = jnp.sum(x * ridge.correlate_adjoint(prior.filters, field))
+    # Of a sum of n products of size 1, float32 keeps eps·√n or so of √n.
+    assert float(abs(forward - backward)) < 1e-5 * float(jnp.linalg.norm(x) * jnp.linalg.norm(field))
+
+
+def test_gradient_is_that_of_the_value(prior):
+    with jax.enable_x64(True):
+        x = jnp.asarray(picture(), jnp.float64)
+        direction = jnp.asarray(noise(3, *x.shape) * 0.02)
+        step = 1e-4
+        slope = (prior.value(x + step * direction) - prior.value(x - step * direction)) / (2 * step)
+        # Where a knot is passed within the step, the central difference is off by curvature·step; few are.
+        assert float(jnp.sum(prior.gradient(x) * direction)) == pytest.approx(float(slope), rel=1e-4)
+        np.testing.assert_allclose(jax.grad(prior.value)(x), prior.gradient(x), atol=1e-9 * prior.curvature)
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (7, 30), (41, 33)])
+def test_norm_is_within_its_bound(prior, shape):
+    x = jnp.asarray(noise(4, *shape), jnp.float32)
+    bank = np.asarray(prior.filters, np.float64)
+    bound = ridge.bank_norm_squared(bank)
+
+    @jax.jit
+    def normal(x: jax.Array) -> jax.Array:
+        return ridge.correlate_adjoint(prior.filters, ridge.correlate(prior.filters, x))
+
+    for _ in range(60):
+        x = x / jnp.linalg.norm(x)
+        following = normal(x)
+        found, x = float(jnp.sum(x * following)), following
+    assert found <= bound * (1 + 1e-5)
+    # Not a loose one either: a small picture has few frequencies, so it need not come nearer.
+    assert found >= 0.5 * bound
+
+
+def test_curvature_lies_between_the_bounds(prior):
+    """⟨∇Ψ(a) − ∇Ψ(b), a − b⟩ / ‖a − b‖² for pairs near and far: convex, or weakly so with its constant."""
+    for seed, size in enumerate((1e-3, 1e-2, 0.1, 1.0)):
+        a = picture() + jnp.asarray(size * noise(seed, 40, 40), jnp.float32)
+        b = picture() + jnp.asarray(size * noise(seed + 10, 40, 40), jnp.float32)
+        bend_along = jnp.sum((prior.gradient(a) - prior.gradient(b)) * (a - b)) / jnp.sum((a - b) ** 2)
+        assert -prior.concavity * (1 + 1e-3) <= float(bend_along) <= prior.curvature * (1 + 1e-3)
+        between = prior.value((a + b) / 2) - (prior.value(a) + prior.value(b)) / 2
+        allowed = prior.concavity / 8 * float(jnp.sum((a - b) ** 2))
+        assert float(between) <= allowed + 1e-5 * float(prior.value(a))  # rounding of the three values
+
+
+def test_weak_convexity_is_reached():
+    """A test that a prior without negative slopes would fail: some pair bends downwards."""
+    prior = ridge.load("weakly_convex")
+    lowest = 0.0
+    field = jnp.asarray(noise(0, 40, 40, len(prior.filters)), jnp.float32)
+    for size in np.geomspace(0.001, 1, 12):
+        direction = jnp.asarray(size, jnp.float32) * ridge.correlate_adjoint(prior.filters, field)
+        change = prior.gradient(1.05 * direction) - prior.gradient(direction)
+        lowest = min(lowest, float(jnp.sum(change * direction)))
+    assert lowest < 0
+
+
+def test_does_not_change_with_mirroring(prior):
+    x = picture(24)[:, :20]
+    for turned in (x[::-1], x[:, ::-1], x[::-1, ::-1]):
+        # The sum of 24·20·C values, in another order.
+        assert float(prior.value(turned)) == pytest.approx(float(prior.value(x)), rel=1e-4)
+
+
+def test_proximal_step_meets_its_optimality_condition(prior):
+    noisy = picture() + jnp.asarray(0.05 * noise(5, 40, 40), jnp.float32)
+    strength = 0.5 / prior.curvature
+    solved, again = RidgeRegulariser(prior.filters, prior.knots, prior.slopes, 200).prox(noisy, strength, noisy)
+    slope = solved - noisy + strength * prior.gradient(solved)
+    # κ is at most a few: converged to rounding, eps times the size of what is added up.
+    assert float(jnp.abs(slope).max()) < 1e-5
+    assert float(jnp.abs(solved - noisy).max()) > 1e-3
+    np.testing.assert_array_equal(solved, again)
+
+
+@pytest.mark.parametrize("times", [0.5, 10.0, 200.0])
+def test_few_proximal_steps_never_rise_above_their_start(prior, times):
+    """With momentum, and without where that would not be certain."""
+    noisy = picture() + jnp.asarray(0.05 * noise(6, 40, 40), jnp.float32)
+    start = picture()
+    strength = times / prior.curvature
+
+    def objective(x: jax.Array) -> float:
+        return float(jnp.sum((x - noisy) ** 2) / 2 + strength * prior.value(x))
+
+    solved, _ = prior.prox(noisy, strength, start)
+    assert objective(solved) < objective(start)
+
+
+def test_strength_zero_gives_the_picture_back(prior):
+    noisy = picture() + jnp.asarray(0.05 * noise(7, 40, 40), jnp.float32)
+    solved, _ = prior.prox(noisy, 0.0, picture())
+    np.testing.assert_allclose(solved, noisy, atol=1e-6)  # rounding of x − (x − noisy)
+
+
+def recording(side: int = 16, frames: int = 61) -> np.ndarray:
+    """Spikes of a still picture of `side` pixels: integrate and fire, 0.6 spikes a frame at white."""
+    seen = (
+        skimage.data.camera()[100 : 100 + 2 * side, 200 : 200 + 2 * side].reshape(side, 2, side, 2).mean((1, 3)) / 255
+    )
+    charge = np.random.default_rng(0).uniform(size=seen.shape) + 0.6 * seen * np.arange(1, frames + 1)[:, None, None]
+    return np.diff(np.floor(charge), axis=0, prepend=0).clip(0, 1).astype(np.uint8)
+
+
+def test_ista_falls_in_every_iteration_and_fista_and_cg_agree_with_it():
+    prior = ridge.load("convex")
+    given = {"scale": 2, "prior": prior, "strength": 0.004, "velocity": (0.0, 0.0)}
+    slow = scsr_opt.reconstruct(recording(), solver=ISTA(60, tolerance=0), **given)
+    objectives = np.array([stage.objective for stage in slow.stages])
+    # A sum of 45,000 terms in float32, one for each pixel and filter: 24 units of its last place were measured.
+    assert (np.diff(objectives) <= 64 * np.finfo(np.float32).eps * objectives[0]).all()
+    fast = scsr_opt.reconstruct(recording(), solver=FISTA(300, tolerance=1e-6), **given)
+    assert fast.stages[-1].objective <= objectives[-1] * (1 + 64 * np.finfo(np.float32).eps)
+    other = scsr_opt.reconstruct(recording(), solver=NonlinearCG(600, tolerance=1e-6), **given)
+    # Each stops short of the minimum by what its tolerance allows.
+    assert other.stages[-1].objective == pytest.approx(fast.stages[-1].objective, rel=5e-3)
+
+
+def test_weakly_convex_falls_in_every_iteration_of_ista():
+    solution = scsr_opt.reconstruct(
+        recording(), scale=2, prior=ridge.load("weakly_convex"), strength=0.004, velocity=(0, 0), solver=ISTA(40, 0)
+    )
+    objectives = np.array([stage.objective for stage in solution.stages])
+    assert (np.diff(objectives) <= 64 * np.finfo(np.float32).eps * objectives[0]).all()
+
+
+def test_scaling(prior):
+    x = picture()
+    twice = prior.scaled(2.0, finer=3.0)
+    assert float(twice.value(x)) == pytest.approx(2 / 3 * float(prior.value(3 * x)), rel=1e-4)
+    assert twice.curvature == pytest.approx(6 * prior.curvature, rel=1e-5)
+    with pytest.raises(InputError, match="weight"):
+        prior.scaled(0.0)
+
+
+def test_save_and_load(prior, tmp_path):
+    ridge.save(tmp_path / "p.npz", prior)
+    again = ridge.load(tmp_path / "p.npz", iterations=prior.iterations)
+    np.testing.assert_array_equal(again.filters, prior.filters)
+    assert (again.curvature, again.concavity) == (prior.curvature, prior.concavity)
+
+
+def test_damaged_and_foreign_files_are_refused(prior, tmp_path):
+    path = tmp_path / "p.npz"
+    ridge.save(path, prior)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="damaged"):
+        ridge.load(path)
+    path.write_bytes(whole[:200] + bytes(200) + whole[400:])
+    with pytest.raises(InputError, match="damaged"):
+        ridge.load(path)
+    np.savez(path, other=np.zeros(3))
+    with pytest.raises(InputError, match="damaged"):
+        ridge.load(path)
+    with pytest.raises(InputError, match="no ridge regulariser"):
+        ridge.load("concave")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f, t, s: (f[:-1], t, s), "row for each"),
+        (lambda f, t, s: (f[:, :-1], t, s), "odd"),
+        (lambda f, t, s: (f + 0.1, t, s), "sum is not zero"),
+        (lambda f, t, s: (f - f[::-1, :, ::-1] * 0.5, t, s), "mirrored"),
+        (lambda f, t, s: (f, t[:, ::-1], s), "increasing"),
+        (lambda f, t, s: (f, t, s * np.nan), "finite"),
+    ],
+)
+def test_arrays_that_do_not_serve_are_refused(change, message):
+    prior = ridge.load("convex")
+    arrays = (np.asarray(v, np.float64) for v in (prior.filters, prior.knots, prior.slopes))
+    with pytest.raises(InputError, match=message):
+        RidgeRegulariser(*change(*arrays))
+    with pytest.raises(InputError, match="iterations"):
+        ridge.load("convex", iterations=0)
+
+
+@pytest.mark.parametrize("weakly", [False, True])
+def test_any_parameters_give_a_valid_prior(weakly):
+    θ = jax.tree.map(lambda v: 2 * v, initial(np.random.default_rng(3), weakly))
+    filters, knots, slopes = parts(θ, weakly)
+    prior = RidgeRegulariser(filters, knots, slopes)
+    least = WEAKEST if weakly else 0
+    assert -least <= float(prior.slopes.min()) and float(prior.slopes.max()) <= 1
+    # The bank is divided by its norm on 32 frequencies a side: 1/cos²(6π/32) above it at most, and not below.
+    assert 0.999 <= ridge.bank_norm_squared(np.asarray(filters, np.float64)) <= 1 / np.cos(6 * np.pi / 32) ** 2 * 1.03
+
+
+def test_bend_is_the_derivative_of_the_spline():
+    prior = ridge.load("weakly_convex")
+    field = jnp.asarray(0.05 * noise(8, 4, 4, len(prior.filters)), jnp.float32)
+    _, slope = jax.jvp(lambda t: ridge.derivative(prior.knots, prior.slopes, t), (field,), (jnp.ones_like(field),))
+    np.testing.assert_allclose(bend(prior.knots, prior.slopes, field), slope, rtol=1e-4, atol=1e-4 * prior.curvature)
+
+
+def test_pictures_come_from_a_folder_or_from_scikit_image(tmp_path):
+    assert all(p.ndim == 2 and 0 <= p.min() and p.max() <= 1 for p in pictures(None))
+    with pytest.raises(InputError, match="no picture"):
+        pictures(tmp_path)
+
+
+@pytest.mark.slow
+def test_training_lowers_the_error(tmp_path):
+    lines: list[str] = []
+    prior = train(tmp_path / "p.npz", weakly=False, folder=None, minutes=2.0, report=lines.append)
+    assert prior.concavity == 0
+    scores = [float(line.split("s: ")[1].split(" dB")[0]) for line in lines]
+    assert scores[-1] > scores[0] + 0.3

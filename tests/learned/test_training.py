@@ -1,0 +1,216 @@
+"""The training loop, with a network that is one convolution of the enlarged firing rate."""
+
+import os
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from learned import checkpoint, configs, registry, training
+from learned.configs import TrainingConfig
+from learned.registry import Trainable, trainable
+from learned.training import SKIPPED_IN_A_ROW, TrainingResult, learning_rate, train
+from scsr_opt.errors import InputError
+from scsr_opt.progress import NoProgress
+
+CONFIG = TrainingConfig(
+    "tiny", 2, 6, frames=11, patch=16, batch=2, rate=1e-2, schedule="cosine", warm_up=2, workers=0,
+    scenes=("static", "translation"), validate_every=3, save_every=3,
+)  # fmt: skip
+
+
+def tiny(scale, network, *, poison=None) -> Trainable:
+    """`poison(number of spikes)`: whether an example has a loss that is not a number."""
+
+    def picture(model, spikes, white_rate):
+        rate = jnp.mean(spikes.astype(jnp.float32), axis=0) / white_rate
+        large = jnp.repeat(jnp.repeat(rate, scale, 0), scale, 1).astype(model.weight.dtype)
+        return model(large[None])[0].astype(jnp.float32)
+
+    def loss(model, example):
+        error = jnp.mean(jnp.abs(picture(model, example.spikes, example.white_rate) - example.truth))
+        return error if poison is None else jnp.where(poison(jnp.sum(example.spikes)), jnp.nan, error)
+
+    return Trainable(lambda key: eqx.nn.Conv2d(1, 1, 3, padding=1, key=key), loss, picture)
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    monkeypatch.setitem(registry.MODELS, "tiny", tiny)
+
+
+class Killed(NoProgress):
+    """Interrupts the run after so many steps."""
+
+    def __init__(self, after: int):
+        self.left = after
+
+    def advance(self, done: int) -> None:
+        self.left -= done
+        if self.left <= 0:
+            raise KeyboardInterrupt
+
+
+def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
+    straight = train(CONFIG, tmp_path / "straight")
+    with pytest.raises(KeyboardInterrupt):
+        train(CONFIG, tmp_path / "killed", progress=Killed(5))
+    assert checkpoint.read(tmp_path / "killed" / "state")[0]["steps"] == 3  # two steps are lost
+    resumed = train(CONFIG, tmp_path / "killed")
+    assert resumed.steps == straight.steps == 6 and resumed.validated == straight.validated
+    assert resumed.losses.tobytes() == straight.losses.tobytes()
+    names = sorted(str(p.relative_to(tmp_path / "straight")) for p in (tmp_path / "straight").rglob("*.*"))
+    assert names == [
+        "best.scsr", "curves.png", "last.scsr", "loss.csv", "samples/000003.png", "samples/000006.png",
+        "validation.csv",
+    ]  # fmt: skip
+    for name in ("state", *names):  # to the last bit: weights, averages, optimiser, losses, pictures
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes(), name
+
+
+def test_a_finished_run_has_nothing_left_to_do_and_can_be_made_longer(tmp_path):
+    config = CONFIG.changed(steps=3, schedule="constant")
+    first = train(config, tmp_path)
+    again = train(config, tmp_path)
+    assert again.steps == 3 and again.losses.tobytes() == first.losses.tobytes()
+    longer = train(config.changed(steps=5, workers=1), tmp_path)
+    assert longer.steps == 5 and longer.losses[:3].tobytes() == first.losses.tobytes()
+    with pytest.raises(InputError, match="has 5 steps behind it, but 4 are asked for"):
+        train(config.changed(steps=4), tmp_path)
+    with pytest.raises(InputError, match="another configuration: batch is 2 there, but 3 was asked for"):
+        train(config.changed(steps=6, batch=3), tmp_path)
+    (tmp_path / "state").write_bytes((tmp_path / "state").read_bytes()[:-9])
+    with pytest.raises(InputError, match="damaged or cut short"):
+        train(config.changed(steps=6), tmp_path)
+
+
+def test_it_learns(tmp_path):
+    """The mean of a 3×3 neighbourhood beats random weights: after 80 steps most of the error is gone."""
+    config = CONFIG.changed(steps=80, rate=3e-2, ema_decay=0.9, validate_every=40, save_every=80)
+    trained = train(config, tmp_path)
+    assert trained.result is TrainingResult.finished and trained.skipped == 0
+    assert trained.losses[-10:].mean() < 0.5 * trained.losses[:5].mean()
+    model, card = checkpoint.load(tmp_path / "last.scsr")
+    assert np.array_equal(model.weight, trained.model.weight)
+    assert card.steps == 80 and card.scores["psnr"] == trained.validated[-1]["psnr"] > 15
+    assert "80 steps, 0 of them skipped" in trained.lines()[0] and "playback enlarged" in trained.lines()[1]
+    best = max(row["psnr"] for row in trained.validated)
+    assert checkpoint.load(tmp_path / "best.scsr")[1].scores["psnr"] == best
+
+
+def test_half_precision_computes_in_it_and_keeps_float32(tmp_path):
+    full, half = (
+        train(CONFIG.changed(precision=precision), tmp_path / precision) for precision in ("float32", "bfloat16")
+    )
+    assert half.model.weight.dtype == jnp.float32
+    # bfloat16 has 8 significant bits; ten operations in a row stay within a few per cent.
+    assert half.losses == pytest.approx(full.losses, rel=0.05)
+    assert half.losses.tobytes() != full.losses.tobytes()
+
+
+def test_a_step_without_a_finite_loss_is_skipped_and_counted(tmp_path, monkeypatch):
+    examples = training._examples(CONFIG)
+    poisoned = int(examples[2 * CONFIG.batch].spikes.sum())  # the third step's first example
+    monkeypatch.setitem(registry.MODELS, "tiny", lambda s, n: tiny(s, n, poison=lambda total: total == poisoned))
+    config = CONFIG.changed(steps=3, validate_every=2, save_every=2)
+    trained = train(config, tmp_path / "a")
+    assert trained.skipped == 1 and np.isfinite(trained.losses).tolist() == [True, True, False]
+    # The skipped step changed nothing: what was validated after two steps is what came out.
+    assert trained.validated[1] == trained.validated[0] | {"step": 3}
+    assert checkpoint.load(tmp_path / "a" / "best.scsr")[1].steps == 2
+
+
+def test_too_many_of_them_end_the_run(tmp_path, monkeypatch):
+    monkeypatch.setitem(registry.MODELS, "tiny", lambda s, n: tiny(s, n, poison=lambda total: total >= 0))
+    trained = train(CONFIG.changed(steps=100, validate_every=100, save_every=100), tmp_path)
+    assert trained.result is TrainingResult.diverged and not trained.result.good
+    assert trained.steps == trained.skipped == SKIPPED_IN_A_ROW and "lower rate" in trained.result.sentence
+    assert not (tmp_path / "state").exists()  # an earlier one would have been left as it was
+
+
+def test_learning_rates():
+    def at(*steps, **fields):
+        rate = learning_rate(CONFIG.changed(steps=100, rate=1.0, **fields))
+        return [float(rate(step)) for step in steps]
+
+    assert at(0, 50, 99, schedule="constant") == [1, 1, 1]
+    assert at(0, 9, 10, 20, schedule="halving", halve_every=10) == [1, 1, 0.5, 0.25]
+    cosine = at(0, 5, 10, 55, 100, schedule="cosine", warm_up=10)
+    assert cosine == pytest.approx([0, 0.5, 1, 0.505, 0.01], abs=1e-6)
+    assert at(0, schedule="cosine", warm_up=0) == [1]
+
+
+@pytest.mark.parametrize("name", ["full-x2", "full-x4", "small-x2", "small-x4", "smoke"])
+def test_configurations_that_come_along(name):
+    config = TrainingConfig.read(name)
+    assert name in configs.names() and TrainingConfig.of(config.plain()) == config
+    assert name == "smoke" or name.endswith(f"x{config.scale}") and config.patch == 40 and config.batch == 6
+    trainable(config.model, config.scale, config.network)  # the sizes are ones that the network has
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"colour": "red"}, "has an entry 'colour', which is not known: allowed are model, scale, steps"),
+        (
+            {"scale": 0},
+            "scale is 0, but it must be a whole number of at least 1, pixels of the picture per sensor pixel",
+        ),
+        ({"batch": 1.5}, r"batch is 1\.5, but it must be a whole number"),
+        ({"batch": True}, "batch is True"),
+        ({"rate": -1.0}, r"rate is -1\.0, but it must be a number above 0"),
+        ({"rate": float("nan")}, "rate is nan"),
+        ({"rate": "fast"}, "rate is 'fast'"),
+        ({"schedule": "steep"}, "schedule is 'steep', but it must be one of constant, halving, cosine"),
+        ({"precision": "float16"}, "precision is 'float16', but it must be one of float32, bfloat16"),
+        ({"ema_decay": 1}, "ema_decay is 1, but it must be a number from 0 to below 1"),
+        ({"scenes": ["train"]}, r"scenes is \('train',\), but it must be a list of at least one of static"),
+        ({"lights": "day"}, "lights is 'day', but it must be a list"),
+        ({"patch": 8}, "patch is 8, but it must be a whole number of at least 16, sensor pixels"),
+        ({"network": 3}, "network is 3, but it must be a table of sizes"),
+        ({"workers": -1}, "workers is -1"),
+    ],
+)
+def test_configurations_that_are_refused(entries, message):
+    with pytest.raises(InputError, match=message):
+        TrainingConfig.of({"model": "tiny", "scale": 2, "steps": 1} | entries)
+
+
+def test_files_that_are_no_configuration(tmp_path):
+    with pytest.raises(InputError, match="There is no configuration tall-x3: .* one of full-x2, .*small-x4, smoke"):
+        TrainingConfig.read("tall-x3")
+    (tmp_path / "a.toml").write_text("scale = \n")
+    with pytest.raises(InputError, match=r"a\.toml is not TOML"):
+        TrainingConfig.read(tmp_path / "a.toml")
+    (tmp_path / "a.toml").write_text('model = "tiny"\nscale = 2\n')
+    with pytest.raises(InputError, match=r"a\.toml lacks the entry 'steps'"):
+        TrainingConfig.read(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        ({"size": "huge"}, "network.size is 'huge', but it must be small or full"),
+        ({"wings": 2}, "network.wings is not known: allowed are size, .*channels"),
+        ({"channels": "many"}, "network.channels is 'many', but it must be of the kind of 16"),
+        ({"channels": 0}, "channels is 0"),
+    ],
+)
+def test_sizes_that_are_refused(network, message):
+    with pytest.raises(InputError, match=message):
+        trainable("spikesr", 2, network)
+
+
+def test_what_cannot_be_trained(tmp_path):
+    with pytest.raises(InputError, match="no network 'resnet'"):
+        train(CONFIG.changed(model="resnet"), tmp_path)
+    with pytest.raises(InputError, match="nowhere is not a folder"):
+        train(CONFIG.changed(pictures="nowhere"), tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file cannot be made"):
+        train(CONFIG, tmp_path / "file")
+    checkpoint.write(tmp_path / "state", checkpoint.packed({}, jnp.zeros(1)))
+    with pytest.raises(InputError, match="state is not the state of a run"):
+        train(CONFIG, tmp_path)
+    assert os.listdir(tmp_path / "samples") == []

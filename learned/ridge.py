@@ -242,16 +242,7 @@ def load(name: str | Path = "convex", iterations: int = 3) -> RidgeRegulariser:
         # Opened here, as what `np.load` opens stays open where it finds no archive.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             parts = {part: np.asarray(file[part], np.float64) for part in ("filters", "knots", "slopes")}
-    except (
-        KeyError,
-        ValueError,
-        EOFError,
-        OSError,
-        AttributeError,
-        TypeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except _DAMAGE as error:
         raise InputError(
             f"{path.name} is not the file of a ridge regulariser, or it is damaged ({error}); copy or train it anew."
         ) from error

@@ -72,7 +72,9 @@ def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h
         found = None
     if found is None or found.shape != (height, width):
         given = repr(gain) if found is None or found.ndim == 0 else f"an array of shape {found.shape}"
-        raise InputError(f"gain is {given}; it must be 'blind' or one gain for each pixel, ({height}, {width}).")
+        raise InputError(
+            f"gain is {given}; it must be 'auto', 'blind' or one gain for each pixel, ({height}, {width})."
+        )
     wrong = int(np.count_nonzero(~(np.isfinite(found) & (found > 0))))
     if wrong:
         raise InputError(

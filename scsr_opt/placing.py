@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
-from scsr_opt.camera.gain import blind_gain, with_gain
+from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
 from scsr_opt.camera.measuring import Measuring
 from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import Motion, trajectory_of
@@ -48,10 +48,16 @@ class Measurements(NamedTuple):
     padded: Samples
     placed: PlacedSamples
 
-    def with_gain(self, gain: Float[np.ndarray, "h w"]) -> "Measurements":
-        """The samples as measured over these gains, at the same places."""
+    def with_gain(self, gain: Float[np.ndarray, "h w"], noise: float) -> "Measurements":
+        """The samples as measured over these gains, at the same places; pixels of unknown gain count less.
+
+        `noise`: standard deviation of a pixel's mean without fixed pattern.
+        """
         padded = with_gain(self.samples, gain).padded()
-        placed = eqx.tree_at(lambda p: p.value, self.placed, jnp.asarray(padded.value))
+        share = share_of_unknown_gain(self.samples, gain, noise)[padded.row, padded.column]
+        placed = eqx.tree_at(
+            lambda p: (p.value, p.weight), self.placed, (jnp.asarray(padded.value), self.placed.weight * share)
+        )
         return Measurements(self.samples, padded, placed)
 
     def gain(self, stream: Stream, motion: Motion, blurred: Float[Array, "H W"]) -> Float[np.ndarray, "h w"]:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt.camera.gain import FIXED_PATTERN, spread_of
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
@@ -32,11 +33,13 @@ from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
-from scsr_opt.strength import strength_of_noise, validated_strength
+from scsr_opt.strength import noise_of_mean, strength_of_noise, validated_strength
 
 # Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
 # short enough for motion to be smooth.
 FRAMES = 101
+# Turns of picture and gain: one gets most, two all.
+_TURNS = 2
 
 
 def reconstruct(
@@ -49,7 +52,7 @@ def reconstruct(
     velocity: ArrayLike | Sequence[float | int] | Estimator | None = None,
     bad_pixels: ArrayLike | None = None,
     samples: Measuring | None = None,
-    gain: ArrayLike | Literal["blind"] | None = None,
+    gain: ArrayLike | Literal["auto", "blind"] | None = "auto",
     optics: Blur | Literal["estimate"] | None = None,
     prior: Prior | None = None,
     strength: SupportsFloat | None = None,
@@ -72,8 +75,9 @@ def reconstruct(
       right); or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by `Automatic` if not given.
     - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
     - `samples`: what the Y_i are: `Intervals()` if not given, or `Windows(length)` of so many frames.
-    - `gain`: of each pixel, (h, w); or "blind" to take it from a first picture and solve once more (`blind_gain`: where
-      the scene moves by a pixel). 1 if not given.
+    - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from a first picture and solve again, twice
+      (`blind_gain`: where the scene moves by a pixel). "auto", the default, does that where the gains found spread by
+      more than they do by chance (`FIXED_PATTERN`).
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
     - `prior`: Ψ; `HuberTotalVariation` if not given.
@@ -103,7 +107,7 @@ def reconstruct(
     check_type(robust, Loss, "robust", "Huber()")
     lens = None if isinstance(optics, str) and optics == "estimate" else optics
     check_type(lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
-    blind = isinstance(gain, str) and gain == "blind"
+    blind = isinstance(gain, str) and gain in ("auto", "blind")
     gains = None if gain is None or blind else pixel_gain(gain, height, width)
     rounds_of_motion = whole(refine, "refine", 0)
     key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
@@ -154,10 +158,16 @@ def reconstruct(
     clock.lap("strength")
     found = rounds(taken.placed, image, state)
     stages = found.outcome.stages
-    if blind and found.outcome.result.good:
-        gains = taken.gain(stream, motion, found.blurred)
-        learned["gain_spread"] = float(gains.std())
-        taken = taken.with_gain(gains)
+    measured_as = taken
+    for _ in range(_TURNS if blind else 0):
+        if not found.outcome.result.good:
+            break
+        blind_gains = measured_as.gain(stream, motion, found.blurred)
+        learned["gain_spread"] = spread_of(blind_gains)
+        if gain == "auto" and learned["gain_spread"] < FIXED_PATTERN:
+            break
+        gains = blind_gains
+        taken = measured_as.with_gain(gains, noise_of_mean(stream))
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     for _ in range(rounds_of_motion):
@@ -165,7 +175,9 @@ def reconstruct(
             break
         better = refined(motion, found.blurred, taken.padded, taken.placed, key=stream.key)
         motion = replace(better, trust=motion.trust)  # no more than what it was refined from
-        taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains)
+        taken = measured(stream, motion, scale=scale, measuring=measuring, gain=None if blind else gains)
+        if blind and gains is not None:
+            taken = taken.with_gain(gains, noise_of_mean(stream))
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     clock.lap("solving")

@@ -45,7 +45,13 @@ _ITERATIONS, _TOLERANCE = 60, 5e-4
 
 
 def strength_of_noise(stream: Stream, scale: int) -> float:
-    """λ from how much neighbouring intervals of a pixel differ, in a sample of the pixels."""
+    """λ from how much neighbouring intervals of a pixel differ."""
+    return _SMOOTHING * noise_of_mean(stream) * 2 / scale
+
+
+def noise_of_mean(stream: Stream) -> float:
+    """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
+    a sample of the pixels."""
     few = stream.spikes[:, ::2, ::2]
     bad = None if stream.bad_pixels is None else stream.bad_pixels[::2, ::2]
     samples = spike_intervals(few, white_rate=stream.white_rate, bad_pixels=bad, ends=0)
@@ -58,7 +64,7 @@ def strength_of_noise(stream: Stream, scale: int) -> float:
     else:
         noise = 0.0
     noise = max(noise, 1e-3)  # spikes are counted in whole frames: never free of it
-    return _SMOOTHING * (noise / len(stream.spikes)) ** 0.5 * 2 / scale
+    return (noise / len(stream.spikes)) ** 0.5
 
 
 class _Validation(NamedTuple):

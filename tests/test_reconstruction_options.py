@@ -9,6 +9,7 @@ from skimage import data
 
 from scsr_opt import InputError, Result, reconstruct
 from scsr_opt.camera import Intervals, Sensor, Simulation, Windows, simulate
+from scsr_opt.camera.gain import FIXED_PATTERN
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
 from scsr_opt.inputs import check_type
@@ -104,13 +105,21 @@ def test_a_loss_that_never_leaves_the_square_changes_nothing(made):
 def test_gains_that_are_known_or_found():
     """Gains that spread by 10 %. Measured: 29.7 dB with them, 30.8 with those that were found, 31.9 without them."""
     made = panning(fixed_pattern=0.1)
-    found, known, ignored = (
-        reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, gain=gain) for gain in ("blind", made.gain, None)
+    found, usual, known, ignored = (
+        reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, gain=gain)
+        for gain in ("blind", "auto", made.gain, None)
     )
+    np.testing.assert_array_equal(usual.image, found.image)
     assert score(made, known.image) > score(made, ignored.image) + 1
     assert score(made, found.image) > score(made, ignored.image) + 0.5
     assert 0.03 < found.stats["gain_spread"] < 0.1 and "gain_spread" not in known.stats
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
+
+
+def test_gains_that_do_not_spread_are_left_alone(made, usual):
+    without = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, gain=None)
+    np.testing.assert_array_equal(usual.image, without.image)
+    assert usual.stats["gain_spread"] < FIXED_PATTERN
 
 
 def test_gains_of_one_change_nothing(made, usual):

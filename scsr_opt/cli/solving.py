@@ -54,12 +54,12 @@ class Solving:
         Robust | None, Parameter(help="Give measurements less say that contradict the picture. Default: all alike.")
     ] = None
     gain: Annotated[
-        str | None,
+        str,
         Parameter(
             help="Fixed pattern: FILE.npy with (height, width) gains, around 1; blind: from the recording itself, "
-            "where it moves. Default: none."
+            "where it moves; auto: that, if a pattern is found; none."
         ),
-    ] = None
+    ] = "auto"
     optics: Annotated[
         str | None,
         Parameter(
@@ -144,10 +144,14 @@ class Solving:
         return None if self.robust is None else {"huber": operators.Huber, "welsch": operators.Welsch}[self.robust]()
 
     def _gain(self, recording: "scsr_opt.camera.Recording") -> Any:
-        if self.gain is None or self.gain == "blind":
-            return self.gain
+        if self.gain in ("auto", "blind"):
+            return None if self.gain == "auto" else self.gain
+        if self.gain == "none":
+            import numpy as np
+
+            return np.ones((recording.height, recording.width), np.float32)
         if not self.gain.endswith(".npy"):
-            raise InputError(f"--gain is {self.gain}, but it must be blind or the name of a .npy file.")
+            raise InputError(f"--gain is {self.gain}, but it must be auto, blind, none or the name of a .npy file.")
         gain, shape = load_npy("gain", self.gain), (recording.height, recording.width)
         if gain.shape != shape or gain.dtype.kind not in "fiu" or not ((gain > 0) & (gain < inf)).all():
             raise InputError(

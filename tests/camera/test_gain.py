@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scsr_opt.camera.gain import blind_gain, flat_gain, with_gain
+from scsr_opt.camera.gain import blind_gain, flat_gain, share_of_unknown_gain, spread_of, with_gain
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.camera.simulator import Sensor, simulate
@@ -85,3 +85,19 @@ def test_corrected_samples():
         with_gain(samples, np.array([[0.0, 1.0], [1.0, 1.0]]))
     with pytest.raises(InputError, match="even_over is 2"):
         flat_gain(np.ones((9, 2, 2), np.uint8), even_over=2)
+
+
+def test_pixels_of_unknown_gain_count_less_by_the_error_that_their_samples_share():
+    """A pixel of light I on a sensor whose gains spread by σ, with noise s of its mean: 1/√(1 + (σI/s)²)."""
+    gain = np.ones((4, 5), np.float32)
+    gain[0] = [0.9, 1.1, 0.9, 1.1, 0.9]
+    spread = spread_of(gain)
+    assert spread == pytest.approx(np.std([0.9, 1.1, 0.9, 1.1, 0.9]))
+    spikes = np.zeros((120, 4, 5), np.uint8)
+    spikes[::2] = 1  # every other frame: light 0.5 / 0.6
+    samples = spike_intervals(spikes, ends=0)
+    share = share_of_unknown_gain(samples, gain, 0.02)
+    assert np.all(share[0] == 1)
+    np.testing.assert_allclose(share[1:], 1 / np.sqrt(1 + (spread * 0.5 / 0.6 / 0.02) ** 2), rtol=1e-5)
+    assert np.all(share_of_unknown_gain(samples, np.ones((4, 5), np.float32), 0.02) == 1)
+    assert spread_of(np.ones((4, 5), np.float32)) == 0

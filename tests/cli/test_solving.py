@@ -122,7 +122,7 @@ def test_gains_are_read_from_a_file(scsr, here, file, asked):
         ("--samples windows:0", "--samples is windows:0"),
         ("--samples windows:32", "--samples is windows:32"),
         ("--robust cauchy", "--robust"),
-        ("--gain 1.1", "--gain is 1.1, but it must be blind or the name of a .npy file"),
+        ("--gain 1.1", "--gain is 1.1, but it must be auto, blind, none or the name of a .npy file"),
         ("--gain gone.npy", "--gain gone.npy cannot be read"),
         ("--gain small.npy", "--gain small.npy holds float64 of shape (2, 3), but gains are (24, 40)"),
         ("--gain zeros.npy", "finite and above 0"),

@@ -115,15 +115,13 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
             break
         # The region holds what the surface uncovers, too, and in dim light a fit to the pictures may go astray. Of what
         # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
-        best = against = None
-        for fit in _candidates(pictures, everywhere, region):
-            wrong = contradicted(pictures, fit) | (fit.speed > fastest)
-            if against is None or (region & wrong).sum() < (region & against).sum():
-                best, against = fit, wrong
-        explained = region & ~against
+        fits = list(_candidates(pictures, everywhere, region))
+        wrong = [contradicted(pictures, fit) | (fit.speed > fastest) for fit in fits]
+        best = int(np.argmin([(region & against).sum() for against in wrong]))
+        explained = region & ~wrong[best]
         if explained.sum() > 0.3 * region.sum():
-            motions.append(best)
-            left, unexplained = left & ~explained, unexplained & against
+            motions.append(fits[best])
+            left, unexplained = left & ~explained, unexplained & wrong[best]
         left = left & ~region
     if len(motions) == 1 or unexplained.mean() > 0.01:
         motions.append(everywhere)

@@ -152,7 +152,14 @@ def reconstruct(
         rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
     if strength is None and robust is None:  # outliers that were held out would decide
         λ = validated_strength(
-            stream, motion, scale=scale, positions=taken.placed.positions, prior=rounds.prior, optics=rounds.optics
+            stream,
+            motion,
+            scale=scale,
+            positions=taken.placed.positions,
+            prior=rounds.prior,
+            measuring=measuring,
+            gain=gains,
+            optics=rounds.optics,
         )
         rounds = replace(rounds, strength=jnp.asarray(λ, jnp.float32))
     clock.lap("strength")

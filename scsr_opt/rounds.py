@@ -1,8 +1,8 @@
 """The outer loop of a reconstruction, where the true data term is not the quadratic that the solvers take.
 
 Each round puts a quadratic on or above the true data term that touches it near the picture so far, and solves
-(majorise–minimise, with momentum). Two things ask for that: exposures during which the picture moves
-(`with_exposure`), and a robust loss (`robust_factors`). Where there is neither, one round is all.
+(majorise–minimise). Two things ask for that: exposures during which the picture moves (`with_exposure`; with momentum),
+and a robust loss (`robust_factors`). Where there is neither, one round is all.
 """
 
 from dataclasses import dataclass, replace
@@ -62,8 +62,7 @@ class Rounds:
         rounds = 1 + (CORRECTIONS if placed.positions > 1 or self.robust is not None else 0)
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
-            start = self.solver.image(state)
-            term, rounds = self._corrected(plain, placed, start, start), max(rounds - 1, 1)
+            term, rounds = self._corrected(plain, placed, self.solver.image(state)), max(rounds - 1, 1)
         stages: list[Stage] = []
         before, momentum, settled = None, 1.0, False
         for following in reversed(range(rounds)):
@@ -83,25 +82,24 @@ class Rounds:
             state, found = outcome.state, jnp.asarray(outcome.image)
             touch = found
             if before is not None:
-                # The rounds are proximal-gradient steps in the metric of M; as FISTA's, they go faster with momentum.
-                step, following_momentum = found - before, (1 + (1 + 4 * momentum**2) ** 0.5) / 2
-                touch = found + (momentum - 1) / following_momentum * step
-                momentum = following_momentum
+                step = found - before
                 settled = bool(jnp.linalg.norm(step) <= _SETTLED * self.solver.tolerance * jnp.linalg.norm(found))
+                if self.robust is None:
+                    # The rounds are proximal-gradient steps in the metric of M, and go faster with FISTA's momentum.
+                    following_momentum = (1 + (1 + 4 * momentum**2) ** 0.5) / 2
+                    touch = found + (momentum - 1) / following_momentum * step
+                    momentum = following_momentum
             before = found
-            term = self._corrected(plain, placed, found, touch)
+            term = self._corrected(plain, placed, touch)
         return Found(outcome._replace(stages=tuple(stages)), _blurred(plain, jnp.asarray(outcome.image)))
 
-    def _corrected(
-        self, plain: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"], touch: Float[Array, "H W"]
-    ) -> DataTerm:
-        """The quadratic that lies on or above the true data term, its losses' weights as they are at `image`, and
-        touches it at `touch`."""
+    def _corrected(self, plain: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"]) -> DataTerm:
+        """The quadratic that lies on or above the true data term and touches it at `image`."""
         factors = None
         if self.robust is not None:
             factors = robust_factors(self.robust, placed, plain, image)
             plain = accumulate(placed, robust=factors, optics=self.optics)
-        return plain if placed.positions == 1 else with_exposure(plain, placed, touch, robust=factors)
+        return plain if placed.positions == 1 else with_exposure(plain, placed, image, robust=factors)
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
         own = eqx.filter_eval_shape(self.solver.init, problem, image)

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from scsr_opt.camera.gain import with_gain
+from scsr_opt.camera.measuring import Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
@@ -82,15 +84,17 @@ def validated_strength(
     scale: int,
     positions: int,
     prior: Prior,
+    measuring: Measuring,
+    gain: Float[np.ndarray, "h w"] | None = None,
     optics: LinearOperator | None = None,
 ) -> float:
-    """λ by holding out a fifth of the intervals: the strength that predicts them best, and somewhat more.
+    """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
 
     Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A middle part of the
     picture serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor; a lens makes
     that part the whole picture, as its blur is made for one size.
 
-    **Arguments:** `positions` along an exposure, `prior` and `optics` as for the reconstruction.
+    **Arguments:** `positions` along an exposure, `prior`, `measuring`, `gain` and `optics` as for the reconstruction.
     """
     least = strength_of_noise(stream, scale)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
@@ -101,7 +105,8 @@ def validated_strength(
         stream.white_rate,
         None if stream.bad_pixels is None else stream.bad_pixels[rows, columns],
     )
-    validation = _split(part, motion.part(rows, columns), scale, positions, optics)
+    gain = None if gain is None else gain[rows, columns]
+    validation = _split(part, motion.part(rows, columns), scale, positions, measuring, gain, optics)
     if validation is None:
         return least
     solver = FISTA(_ITERATIONS, _TOLERANCE)
@@ -137,11 +142,19 @@ def _middle(length: int, part: int) -> slice:
 
 
 def _split(
-    stream: Stream, motion: Motion, scale: int, positions: int, optics: LinearOperator | None
+    stream: Stream,
+    motion: Motion,
+    scale: int,
+    positions: int,
+    measuring: Measuring,
+    gain: Float[np.ndarray, "h w"] | None,
+    optics: LinearOperator | None,
 ) -> _Validation | None:
     """The samples, every fifth stretch of them held out; None if there are too few to do so."""
     frames, height, width = stream.spikes.shape
-    samples = spike_intervals(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+    each = np.ones((height, width), np.int32)  # nothing is merged: what is held out has to be in pieces
+    samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=each, bad_pixels=stream.bad_pixels)
+    samples = samples if gain is None else with_gain(samples, gain)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
     held = _held_out(samples)
     placed = place(

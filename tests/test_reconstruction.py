@@ -137,6 +137,20 @@ def test_nothing_left_when_every_pixel_is_bad():
     assert solution.result is Result.no_samples
 
 
+@pytest.mark.parametrize("shape", [(2, 2), (3, 6), (5, 7)])
+def test_small_sensors_before_which_something_moves(shape):
+    """Too few pixels for any layer."""
+    wave = np.sin(np.arange(60)[:, None] / 2) * np.cos(np.arange(60) / 3)
+    height, width = shape
+    for speed in (0.1, 0.3):
+        at = [int(speed * t) for t in range(60)]
+        light = np.stack([0.5 + 0.5 * wave[k : k + height, 2 * k : 2 * k + width] for k in at])
+        total = np.cumsum(0.6 * light, 0)
+        spikes = np.diff(np.floor(total), axis=0, prepend=0).astype(np.uint8)
+        solution = reconstruct(spikes, scale=2)
+        assert solution.image.shape == (2 * height, 2 * width) and np.isfinite(solution.image).all()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -153,6 +167,7 @@ def test_nothing_left_when_every_pixel_is_bad():
         ({"gain": np.ones((9, 8))}, "gain is an array of shape (9, 8); it must be 'auto', 'blind'"),
         ({"gain": np.zeros((8, 9))}, "gain holds 72 values that are not finite and above 0; mark such pixels"),
         ({"samples": Windows(32)}, "windows of 32 frames do not fit a recording of 31"),
+        ({"velocity": "fast"}, "velocity is 'fast'; it must be an array of shape (2, 8, 9), two numbers"),
         ({"velocity": np.zeros((2, 3, 3), np.float32)}, "velocity has shape (2, 3, 3); it must be (2, 8, 9)"),
         ({"velocity": np.full((2, 8, 9), np.nan, np.float32)}, "velocity holds 144 values that are not finite"),
         ({"spikes": np.full((31, 8, 9), 2, np.uint8)}, "0 and 1"),

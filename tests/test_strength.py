@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from scsr_opt.camera import Sensor, simulate
+from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
 from scsr_opt.camera.scenes import Static
 from scsr_opt.motion import Motion
 from scsr_opt.placing import Stream
@@ -19,9 +19,9 @@ def still(picture, **sensor) -> Stream:
     return Stream(made.spikes, 50, made.sensor.white_rate, None)
 
 
-def validated(stream: Stream) -> float:
+def validated(stream: Stream, measuring: Measuring = Intervals()) -> float:  # noqa: B008
     motion = Motion.none(*stream.spikes.shape[1:])
-    return validated_strength(stream, motion, scale=SCALE, positions=1, prior=TotalVariation())
+    return validated_strength(stream, motion, scale=SCALE, positions=1, prior=TotalVariation(), measuring=measuring)
 
 
 def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
@@ -35,6 +35,12 @@ def test_a_textured_picture_by_day_is_left_near_the_strength_of_its_noise():
     stream = still(data.gravel()[:96, :96], photons=1000.0)
     least = strength_of_noise(stream, SCALE)
     assert 0.69 * least <= validated(stream) < 1.5 * least
+
+
+def test_windows_ask_for_more():
+    """A count is wrong by up to a spike, an interval by a frame's light."""
+    stream = still(data.camera()[100:292:2, 100:292:2] / 255)
+    assert validated(stream, Windows(4)) > 2 * validated(stream)
 
 
 def test_too_few_samples_leave_the_strength_of_the_noise():

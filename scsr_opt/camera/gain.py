@@ -54,7 +54,7 @@ def share_of_unknown_gain(
     """How much of its weight a pixel keeps whose gain is not known (1) on a sensor where others' gains spread.
 
     An unknown gain makes an error that all samples of the pixel share: it adds (spread · intensity)² to the variance of
-    their mean. As the strength of a prior goes with the standard deviation of the noise, so does the weight.
+    their mean, and the weight is the inverse of that variance.
 
     **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `noise`: standard deviation of a pixel's
     mean without that.
@@ -63,7 +63,7 @@ def share_of_unknown_gain(
     light = np.bincount(pixel, samples.weight * samples.value, minlength=gain.size).reshape(shape)
     weight = np.bincount(pixel, samples.weight, minlength=gain.size).reshape(shape)
     error = spread_of(gain) * light / np.where(weight > 0, weight, 1)
-    return np.where(gain == 1, 1 / np.sqrt(1 + (error / noise) ** 2), 1).astype(np.float32)
+    return np.where(gain == 1, 1 / (1 + (error / noise) ** 2), 1).astype(np.float32)
 
 
 def flat_gain(
@@ -158,4 +158,4 @@ def blind_gain(
     first, second = ratio(early)[seen], ratio(~early)[seen]
     spread = ((first + second) / 2).var()
     reliable = float(np.clip(np.mean(first * second) / spread, 0, 1)) if spread > 0 else 0.0
-    return (1 + reliable * ratio(True)).astype(np.float32)
+    return np.clip(1 + reliable * ratio(True), *_RANGE).astype(np.float32)

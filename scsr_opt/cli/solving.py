@@ -82,7 +82,10 @@ class Solving:
         ),
     ] = None
     strength: Annotated[
-        float | None, Parameter(help="Of the prior (lambda). Default: set from the recording's noise.")
+        float | None,
+        Parameter(
+            help="Of the prior (lambda). Default: what predicts held-out spikes best; with --robust, by their noise."
+        ),
     ] = None
     solver: Annotated[
         Solver,

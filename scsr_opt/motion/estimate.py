@@ -154,7 +154,13 @@ def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) 
 
     **Errors:** `InputError` for another shape or values that are not finite.
     """
-    field = np.asarray(velocity, np.float32)
+    try:
+        field = np.asarray(velocity, np.float32)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"velocity is {velocity!r}; it must be an array of shape (2, {height}, {width}), two numbers (rows, "
+            "columns) in sensor pixels per frame, or an Estimator."
+        ) from None
     if field.shape == (2,):
         field = np.broadcast_to(field[:, None, None], (2, height, width)).copy()
     if field.shape != (2, height, width):

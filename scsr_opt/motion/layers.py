@@ -81,7 +81,7 @@ def _layers(pictures: Stretches, motions: list[Motion], everywhere: Motion) -> M
         kept = [motion for motion, size in zip(motions, sizes, strict=True) if size >= _FEWEST_PIXELS]
         if len(kept) == len(motions):
             break
-        motions = kept
+        motions = kept or [background]
     if len(motions) == 1:
         return motions[0]
     motions = [

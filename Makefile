@@ -16,7 +16,7 @@ help:
 	@echo 'make lint        ruff only            make format   let ruff mend what it can'
 	@echo 'make types       pyright only         make pytest   tests only (PYTEST_ARGS="-k name")'
 	@echo 'make notebooks   run the notebooks and save them with their pictures'
-	@echo 'make peers       other libraries on the same two problems (makes their environments; about 20 minutes)'
+	@echo 'make peers       other libraries on the same two problems (makes their environments; about 11 minutes)'
 	@echo 'make choosing    solvers and priors timed anew for docs/choosing.md (about 6 minutes)'
 	@echo 'make picture     remake the picture of the README'
 	@echo 'make setup       only make .venv and install'

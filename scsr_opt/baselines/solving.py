@@ -26,7 +26,8 @@ def solved(placed: PlacedSamples, start: Float[np.ndarray, "H W"], strength: flo
     """
     if not np.asarray(placed.weight).any():
         return start
-    solver, prior, λ = FISTA(), TotalVariation(iterations=10), jnp.asarray(strength, jnp.float32)
+    # To the end: where a solve stops early, rounding decides where.
+    solver, prior, λ = FISTA(iterations=1000, tolerance=1e-5), TotalVariation(iterations=10), jnp.asarray(strength, jnp.float32)
     uncorrected = term = accumulate(placed)
     outcome = run(solver, Problem(term, prior, λ), jnp.asarray(start))
     for _ in range(_CORRECTIONS if placed.positions > 1 else 0):

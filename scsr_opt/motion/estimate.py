@@ -12,7 +12,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.dense import dense
 from scsr_opt.motion.estimator import Estimator
-from scsr_opt.motion.evidence import contradicted, missed, typical_noise
+from scsr_opt.motion.evidence import contradicted, mispredicted, missed, typical_noise
 from scsr_opt.motion.layers import layered
 from scsr_opt.motion.parametric import parametric
 from scsr_opt.motion.phase import PhaseCorrelation
@@ -75,8 +75,11 @@ class Automatic(Estimator):
         everywhere = dense(pictures, start=background)
         layers = layered(pictures, background, everywhere)
         motion = layers if _serve(pictures, layers, everywhere) else everywhere
-        # A recording of noise contradicts any motion: then more of it explains nothing.
-        return motion if contradicted(pictures, motion).mean() < _HELPS * unexplained else background
+        # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing.
+        helps = contradicted(pictures, motion).mean() < _HELPS * unexplained
+        noise = typical_noise(pictures, everywhere)
+        better = helps and mispredicted(pictures, motion, noise) < mispredicted(pictures, background, noise)
+        return motion if better else background
 
 
 def _serve(pictures: Stretches, layers: Motion, everywhere: Motion) -> bool:

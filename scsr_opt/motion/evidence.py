@@ -55,7 +55,7 @@ def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 
 # Moments within so many frames make the picture that a motion carries to the others.
 _NEAR = 10.0
 # A squared error counts up to so many times the noise: what is hidden without anybody knowing says little more.
-MISSED = 6.0
+_MISSED = 6.0
 # One picture in so many is predicted: enough to compare motions.
 _EVERY = 3
 
@@ -78,6 +78,12 @@ def missed(
     return np.asarray(error), np.asarray(visible)
 
 
+def mispredicted(pictures: Stretches, motion: Motion, noise: float) -> float:
+    """How badly a motion predicts the pictures (`missed`, mean); what it says is hidden counts as missed."""
+    error, seen = missed(pictures, motion, noise)
+    return float(np.mean(seen * error + (1 - seen) * _MISSED))
+
+
 @jax.jit
 def _missed(
     pictures: Float[Array, "n h w"],
@@ -92,7 +98,7 @@ def _missed(
         picture, q = moment
         inside = (q >= 0).all(0) & (q[0] <= height - 1) & (q[1] <= width - 1)
         error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
-        return jnp.minimum(error, MISSED), inside.astype(present.dtype)
+        return jnp.minimum(error, _MISSED), inside.astype(present.dtype)
 
     error, inside = jax.lax.map(one, (pictures, position))
     return error, visible * inside

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed
-from scsr_opt.motion.evidence import MISSED, contradicted, missed, typical_noise, variance_along
+from scsr_opt.motion.evidence import contradicted, mispredicted, typical_noise, variance_along
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
 
@@ -62,13 +62,7 @@ def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Moti
     # Along the edges of something that moves, the dense estimate takes what it uncovers for another surface.
     without = _layers(pictures, motions[:-1], everywhere)
     noise = typical_noise(pictures, everywhere)
-    return min(without, found, key=lambda motion: _mispredicted(pictures, motion, noise))
-
-
-def _mispredicted(pictures: Stretches, motion: Motion, noise: float) -> float:
-    """How badly a motion predicts the pictures; what it says is hidden counts as missed."""
-    error, seen = missed(pictures, motion, noise)
-    return float(np.mean(seen * error + (1 - seen) * MISSED))
+    return min(without, found, key=lambda motion: mispredicted(pictures, motion, noise))
 
 
 def _layers(pictures: Stretches, motions: list[Motion], everywhere: Motion) -> Motion:

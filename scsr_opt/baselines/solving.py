@@ -27,7 +27,8 @@ def solved(placed: PlacedSamples, start: Float[np.ndarray, "H W"], strength: flo
     if not np.asarray(placed.weight).any():
         return start
     # To the end: where a solve stops early, rounding decides where.
-    solver, prior, λ = FISTA(iterations=1000, tolerance=1e-5), TotalVariation(iterations=10), jnp.asarray(strength, jnp.float32)
+    solver = FISTA(iterations=1000, tolerance=1e-6)
+    prior, λ = TotalVariation(iterations=10), jnp.asarray(strength, jnp.float32)
     uncorrected = term = accumulate(placed)
     outcome = run(solver, Problem(term, prior, λ), jnp.asarray(start))
     for _ in range(_CORRECTIONS if placed.positions > 1 else 0):

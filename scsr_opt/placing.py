@@ -48,13 +48,13 @@ class Measurements(NamedTuple):
     padded: Samples
     placed: PlacedSamples
 
-    def with_gain(self, gain: Float[np.ndarray, "h w"], noise: float) -> "Measurements":
-        """The samples as measured over these gains, at the same places; pixels of unknown gain count less.
+    def with_gain(self, gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], noise: float) -> "Measurements":
+        """The samples as measured over these gains, at the same places; pixels whose gain is not known count less.
 
-        `noise`: standard deviation of a pixel's mean without fixed pattern.
+        `noise`: standard deviation of a pixel's mean without fixed pattern, intensity.
         """
         padded = with_gain(self.samples, gain).padded()
-        share = share_of_unknown_gain(self.samples, gain, noise)[padded.row, padded.column]
+        share = share_of_unknown_gain(self.samples, gain, known, noise)[padded.row, padded.column]
         placed = eqx.tree_at(
             lambda p: (p.value, p.weight), self.placed, (jnp.asarray(padded.value), self.placed.weight * share)
         )

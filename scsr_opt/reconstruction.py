@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from scsr_opt.camera.gain import FIXED_PATTERN, spread_of
+from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
@@ -165,16 +165,16 @@ def reconstruct(
     clock.lap("strength")
     found = rounds(taken.placed, image, state)
     stages = found.outcome.stages
-    measured_as = taken
+    measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
     for _ in range(_TURNS if blind else 0):
         if not found.outcome.result.good:
             break
         blind_gains = measured_as.gain(stream, motion, found.blurred)
-        learned["gain_spread"] = spread_of(blind_gains)
+        learned["gain_spread"] = spread_of(blind_gains, known)
         if gain == "auto" and learned["gain_spread"] < FIXED_PATTERN:
             break
         gains = blind_gains
-        taken = measured_as.with_gain(gains, noise_of_mean(stream))
+        taken = measured_as.with_gain(gains, known, noise_of_mean(stream))
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     for _ in range(rounds_of_motion):
@@ -184,7 +184,7 @@ def reconstruct(
         motion = replace(better, trust=motion.trust)  # no more than what it was refined from
         taken = measured(stream, motion, scale=scale, measuring=measuring, gain=None if blind else gains)
         if blind and gains is not None:
-            taken = taken.with_gain(gains, noise_of_mean(stream))
+            taken = taken.with_gain(gains, known, noise_of_mean(stream))
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     clock.lap("solving")

@@ -42,28 +42,32 @@ def with_gain(samples: Samples, gain: Float[np.ndarray, "h w"]) -> Samples:
     return eqx.tree_at(lambda s: s.value, samples, samples.value / gain[samples.row, samples.column])
 
 
-def spread_of(gain: Float[np.ndarray, "h w"]) -> float:
-    """Standard deviation of the gains that are known (not 1); 0 if none is."""
-    known = gain[gain != 1]
-    return float(known.std()) if known.size else 0.0
+def spread_of(gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> float:
+    """Standard deviation of the gains that are known; 0 if none is."""
+    return float(gain[known].std()) if known.any() else 0.0
+
+
+def gain_is_known(moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Where `blind_gain` can tell the gain: the scene has `moved` there by a sensor pixel or more."""
+    return moved >= _MOVED
 
 
 def share_of_unknown_gain(
-    samples: Samples, gain: Float[np.ndarray, "h w"], noise: float | int
+    samples: Samples, gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], noise: float | int
 ) -> Float[np.ndarray, "h w"]:
-    """How much of its weight a pixel keeps whose gain is not known (1) on a sensor where others' gains spread.
+    """How much of its weight a pixel keeps whose gain is not known, where others' gains spread; 1 where it is known.
 
     An unknown gain makes an error that all samples of the pixel share: it adds (spread · intensity)² to the variance of
     their mean, and the weight is the inverse of that variance.
 
-    **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `noise`: standard deviation of a pixel's
-    mean without that.
+    **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `gain` where it is `known`; `noise`, the
+    standard deviation of a pixel's mean without that, intensity.
     """
     pixel, shape = samples.row * gain.shape[1] + samples.column, gain.shape
     light = np.bincount(pixel, samples.weight * samples.value, minlength=gain.size).reshape(shape)
     weight = np.bincount(pixel, samples.weight, minlength=gain.size).reshape(shape)
-    error = spread_of(gain) * light / np.where(weight > 0, weight, 1)
-    return np.where(gain == 1, 1 / (1 + (error / noise) ** 2), 1).astype(np.float32)
+    error = spread_of(gain, known) * light / np.where(weight > 0, weight, 1)
+    return np.where(known, 1, 1 / (1 + (error / noise) ** 2)).astype(np.float32)
 
 
 def flat_gain(
@@ -142,7 +146,7 @@ def blind_gain(
         return np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
 
     total, duration = sums(used), sums(np.where(used > 0, stop - start, 0.0))
-    seen = (total > 0) & (moved >= _MOVED)
+    seen = (total > 0) & gain_is_known(moved)
     if not seen.any():
         return np.ones(shape, np.float32)
     spike = total / np.maximum(duration, 1) / white_rate

@@ -8,7 +8,6 @@ to lie there and that are seen in the key frame at that point, the one in front.
 hidden in the key frame and the sample has to be left out.
 """
 
-from collections.abc import Iterator
 from typing import cast
 
 import equinox as eqx
@@ -109,7 +108,7 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
             break
         # The region holds what the surface uncovers, too, and in dim light a fit to the pictures may go astray. Of what
         # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
-        fits = list(_candidates(pictures, everywhere, region))
+        fits = _candidates(pictures, everywhere, region)
         wrong = [contradicted(pictures, fit) | (fit.speed > fastest) for fit in fits]
         best = int(np.argmin([(region & against).sum() for against in wrong]))
         explained = region & ~wrong[best]
@@ -139,12 +138,10 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
     return Motion.of_velocity(np.einsum("p,pchw->chw", numbers, fields))
 
 
-def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"]) -> Iterator[Motion]:
+def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
     """Motions that a region may have."""
     commonest = _commonest(everywhere, region)
-    yield from commonest
-    yield parametric(pictures, start=commonest[0], where=region)
-    yield _affine(everywhere, region)
+    return [*commonest, parametric(pictures, start=commonest[0], where=region), _affine(everywhere, region)]
 
 
 def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:

@@ -179,12 +179,19 @@ def _check_state(solver: Solver, problem: Problem, state: Any) -> None:
 
 @eqx.filter_jit
 def _init(solver: Solver[State], problem: Problem, image: Float[Array, "H W"]) -> State:
-    return solver.init(problem, image)
+    return _strong(solver.init(problem, image))
 
 
 @eqx.filter_jit
 def _warm(solver: Solver[State], problem: Problem, state: State) -> State:
-    return solver.warm(problem, state)
+    return _strong(solver.warm(problem, state))
+
+
+def _strong(state: State) -> State:
+    """The state without weak types, such as a Python number leaves: `_advance` gives none, and would compile twice."""
+    return jax.tree.map(
+        lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype) if eqx.is_array(leaf) else leaf, state
+    )
 
 
 @eqx.filter_jit

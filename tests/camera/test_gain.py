@@ -89,15 +89,15 @@ def test_corrected_samples():
 
 def test_pixels_of_unknown_gain_count_less_by_the_error_that_their_samples_share():
     """A pixel of light I on a sensor whose gains spread by σ, with noise s of its mean: 1/(1 + (σI/s)²)."""
-    gain = np.ones((4, 5), np.float32)
-    gain[0] = [0.9, 1.1, 0.9, 1.1, 0.9]
-    spread = spread_of(gain)
-    assert spread == pytest.approx(np.std([0.9, 1.1, 0.9, 1.1, 0.9]))
+    gain, known = np.ones((4, 5), np.float32), np.zeros((4, 5), bool)
+    gain[0], known[0] = [0.9, 1.1, 1.0, 1.1, 0.9], True  # one of those that are known is 1
+    spread = spread_of(gain, known)
+    assert spread == pytest.approx(np.std([0.9, 1.1, 1.0, 1.1, 0.9]))
     spikes = np.zeros((120, 4, 5), np.uint8)
     spikes[::2] = 1  # every other frame: light 0.5 / 0.6
     samples = spike_intervals(spikes, ends=0)
-    share = share_of_unknown_gain(samples, gain, 0.02)
+    share = share_of_unknown_gain(samples, gain, known, 0.02)
     assert np.all(share[0] == 1)
     np.testing.assert_allclose(share[1:], 1 / (1 + (spread * 0.5 / 0.6 / 0.02) ** 2), rtol=1e-5)
-    assert np.all(share_of_unknown_gain(samples, np.ones((4, 5), np.float32), 0.02) == 1)
-    assert spread_of(np.ones((4, 5), np.float32)) == 0
+    assert np.all(share_of_unknown_gain(samples, gain, np.zeros_like(known), 0.02) == 1)
+    assert spread_of(gain, np.zeros_like(known)) == 0

@@ -68,15 +68,15 @@ def _layers(pictures: Stretches, motions: list[Motion], everywhere: Motion) -> M
     """Layers with these motions, `everywhere` for the noise and confidence; a single motion if one is left of them."""
     background = motions[0]
     noise = typical_noise(pictures, everywhere, _SHARPNESS)
-    for _ in range(2):  # a layer that nearly no pixel wants goes, and its pixels choose again
+    while True:  # a layer that nearly no pixel wants goes, and its pixels choose again
+        if len(motions) == 1:
+            return motions[0]
         label = _label(pictures, motions, everywhere, noise)
         sizes = np.bincount(label.ravel(), minlength=len(motions))
         kept = [motion for motion, size in zip(motions, sizes, strict=True) if size >= _FEWEST_PIXELS]
         if len(kept) == len(motions):
             break
         motions = kept or [background]
-    if len(motions) == 1:
-        return motions[0]
     motions = [
         motion if motion is background or motion is everywhere else _sharpened(pictures, motion, np.asarray(label == k))
         for k, motion in enumerate(motions)

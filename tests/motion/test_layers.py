@@ -7,7 +7,7 @@ from skimage import data
 
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Box, MovingObject
-from scsr_opt.motion import Automatic, Motion, estimate_motion, trajectory_of
+from scsr_opt.motion import Automatic, Motion, estimate_motion, layers, trajectory_of
 from scsr_opt.motion.trajectory import SPACING, Layers
 
 KEY, FRAMES = 40, 81
@@ -51,6 +51,23 @@ def test_each_pixel_of_the_key_frame_sees_itself_then():
     position, visible = seen_at(before_a_background((0, 1)), KEY)
     np.testing.assert_allclose(position, np.mgrid[0:30, 0:40], atol=1e-5)
     assert (visible == 1).all()
+
+
+def test_layers_that_nearly_no_pixel_wants_go_one_after_another(monkeypatch, pictures):
+    """Each time that the pixels choose again, another layer may be left without them, until the background is all."""
+    shown = pictures("static")
+    shape = shown.picture.shape[1:]
+    motions = [Motion.of_velocity(np.full((2, *shape), speed / 10, np.float32)) for speed in range(4)]
+
+    def label(pictures, motions, everywhere, noise):
+        chosen = np.zeros(shape, np.int32)
+        for k in range(1, len(motions)):
+            chosen[9 * k : 9 * k + 9, :9] = k
+        chosen[chosen == len(motions) - 1] = 0
+        return chosen
+
+    monkeypatch.setattr(layers, "_label", label)
+    assert layers._layers(shown, motions, motions[0]) is motions[0]
 
 
 @pytest.mark.parametrize("speed", [(0.0, 0.2), (-0.15, 0.1)])

@@ -1,27 +1,37 @@
 """Batches of examples, made by other processes while the network learns from the last ones.
 
 The simulator is NumPy and holds Python's lock most of the time, so threads would not help; processes do. They are
-started afresh and not forked, which a process with an accelerator does not survive, and they do not import JAX.
+started afresh and not forked, which a process with an accelerator does not survive. Those that make plain examples do
+not import JAX; one that does (`learned.prepared`) keeps to the CPU, as the accelerator is the parent's.
 """
 
 import os
 import signal
+import sys
 import threading
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection, get_context, parent_process
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from learned.data import Example, Examples
+from learned.data import Example
 from scsr_opt.errors import InputError
 
 
+@runtime_checkable
+class Source(Protocol):
+    """An endless list of examples, each a named tuple or a dictionary of arrays; `learned.data.Examples` is one."""
+
+    def __getitem__(self, number: int, /) -> Any: ...
+
+
 def batches(
-    examples: Examples, batch: int, start: int, stop: int, *, workers: int, ahead: int = 4
-) -> Generator[Example, None, None]:
+    examples: Source, batch: int, start: int, stop: int, *, workers: int, ahead: int = 4
+) -> Generator[Any, None, None]:
     """Batches number `start` to `stop` − 1: batch n holds the examples n·batch to (n + 1)·batch − 1.
 
     **Arguments:**
@@ -36,16 +46,16 @@ def batches(
     """
     if workers == 0:
         for n in range(start, stop):
-            yield _stacked([examples[i] for i in range(n * batch, (n + 1) * batch)])
+            yield stacked([examples[i] for i in range(n * batch, (n + 1) * batch)])
         return
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _begin, (examples,))
-    waiting: deque[Future[Example]] = deque()
+    waiting: deque[Future[Any]] = deque()
     try:
         numbers = iter(range(start * batch, stop * batch))
         for _ in range(start, stop):
             while len(waiting) < (ahead + 1) * batch and (number := next(numbers, None)) is not None:
                 waiting.append(pool.submit(_make, number))
-            yield _stacked([waiting.popleft().result() for _ in range(batch)])
+            yield stacked([waiting.popleft().result() for _ in range(batch)])
     except BrokenProcessPool as error:
         raise InputError(
             "A worker that makes training examples came to an end by itself: there may be too little memory (use fewer "
@@ -55,17 +65,23 @@ def batches(
         pool.shutdown(cancel_futures=True)
 
 
-def _stacked(examples: list[Example]) -> Example:
+def stacked(examples: list[Any]) -> Any:
+    """Examples as one, with one more axis in front of each array."""
+    if isinstance(examples[0], Mapping):
+        return {name: np.stack([example[name] for example in examples]) for name in examples[0]}
     return Example(*(np.stack(part) for part in zip(*examples, strict=True)))
 
 
-_here: Examples | None = None
+_here: Source | None = None
 """In a worker: the examples that it makes, sent once and not with every task."""
 
 
-def _begin(examples: Examples) -> None:
+def _begin(examples: Source) -> None:
     global _here
     _here = examples
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    if "jax" in sys.modules:  # it looks at the environment when it is imported only
+        sys.modules["jax"].config.update("jax_platforms", "cpu")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the parent, which ends its workers
 
     def end_with_parent() -> None:
@@ -78,6 +94,6 @@ def _begin(examples: Examples) -> None:
     threading.Thread(target=end_with_parent, daemon=True).start()
 
 
-def _make(number: int) -> Example:
+def _make(number: int) -> Any:
     assert _here is not None
     return _here[number]

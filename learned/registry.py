@@ -8,26 +8,48 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt8
 
 from learned.data import Example
 from scsr_opt.errors import InputError
 
 
+class Preparation(NamedTuple):
+    """How an example becomes what a network is given, where that takes long and no compiled program can do it.
+
+    **Fields:**
+    - `make(example)`: arrays by name, of the same shapes for all examples of a size; made once (`learned.prepared`).
+    - `made_of`: those of the network's sizes that they depend on.
+    - `picture(model, prepared)`: the picture of the key frame; may be compiled.
+    """
+
+    make: Callable[[Example], Mapping[str, Any]]
+    made_of: Mapping[str, Any]
+    picture: Callable[[Any, Mapping[str, Any]], Float[Array, "H W"]]
+
+
 class Trainable(NamedTuple):
-    """A network as the trainer sees it: three functions.
+    """A network as the trainer sees it.
 
     **Fields:**
     - `build(key)`: a new `equinox.Module` with random weights.
     - `loss(model, example)`: what is made small, a scalar, for one example (the trainer takes the mean over a batch).
       In mixed precision the model's weights come as bfloat16, the example as it is: a model computes in the type of its
       weights, and the loss is summed in float32.
-    - `picture(model, spikes, white_rate)`: the picture (s·h, s·w) of the key frame T // 2, intensity 1 = white.
+      Where there is a `preparation`, the example is what that made of it.
+    - `picture(model, spikes, white_rate)`: the picture (s·h, s·w) of the key frame T // 2, intensity 1 = white. It may
+      be compiled unless there is a `preparation`.
+    - `iterates(model, spikes, white_rate, start=None)`: R^(t) and X^(t) of all stages, an `Iterates`, from X^(0) =
+      `start` or the network's own; None for networks without stages.
+    - `preparation`: None for networks that take the spikes themselves.
     """
 
     build: Callable[[PRNGKeyArray], Any]
     loss: Callable[[Any, Example], Float[Array, ""]]
     picture: Callable[[Any, UInt8[Array, "T h w"], Float[Array, ""]], Float[Array, "H W"]]
+    iterates: Callable[..., Any] | None = None
+    preparation: Preparation | None = None
 
 
 MODELS: dict[str, Callable[[int, Mapping[str, Any]], Trainable]] = {}
@@ -51,7 +73,7 @@ def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
     size = sizes.pop("size", "small")
     if size not in named:
         raise InputError(f"network.size is {size!r}, but it must be small or full.")
-    config = _replaced(named[size](scale), sizes)
+    config = _replaced(named[size](scale), sizes, "size")
 
     def loss(model: Any, example: Example) -> Float[Array, ""]:
         key_frame = example.spikes.shape[0] // 2
@@ -60,18 +82,91 @@ def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
     def picture(model: Any, spikes: UInt8[Array, "T h w"], white_rate: Float[Array, ""]) -> Float[Array, "H W"]:
         return model(spikes, spikes.shape[0] // 2, white_rate).images[-1]
 
-    return Trainable(lambda key: SpikeSRNet(config, key=key), loss, picture)
+    def iterates(model: Any, spikes: Any, white_rate: Any, start: Any = None) -> Any:
+        return model(spikes, spikes.shape[0] // 2, white_rate, start)
+
+    return Trainable(lambda key: SpikeSRNet(config, key=key), loss, picture, iterates)
+
+
+def _unrolled(scale: int, network: Mapping[str, Any]) -> Trainable:
+    from learned.inputs import Inputs, make_inputs
+    from learned.unrolled_ista import UnrolledConfig, UnrolledISTA
+
+    config = _replaced(UnrolledConfig(scale, folding=2 if scale % 2 == 0 else 1), network)
+    return _on_inputs(
+        scale,
+        lambda key: UnrolledISTA(config, key=key),
+        lambda stream: make_inputs(stream, scale=scale, boundaries=config.boundaries),
+        lambda arrays: Inputs.of_arrays(arrays, scale),
+        {"boundaries": list(config.boundaries)},
+    )
+
+
+def _unrolled_pase(scale: int, network: Mapping[str, Any]) -> Trainable:
+    from learned.unrolled_ista_pase import SpikeInputs, UnrolledPASE, UnrolledPASEConfig, make_spike_inputs
+
+    config = _replaced(UnrolledPASEConfig(scale, folding=2 if scale % 2 == 0 else 1), network)
+    return _on_inputs(
+        scale,
+        lambda key: UnrolledPASE(config, key=key),
+        lambda stream: make_spike_inputs(stream, scale=scale, config=config),
+        SpikeInputs.of_arrays,
+        {name: getattr(config, name) for name in ("moments", "length", "spacing")}
+        | {"boundaries": list(config.boundaries)},
+    )
+
+
+def _on_inputs(
+    scale: int,
+    build: Callable[[PRNGKeyArray], Any],
+    inputs_of: Callable[[Any], Any],
+    of_arrays: Callable[[Any], Any],
+    made_of: Mapping[str, Any],
+) -> Trainable:
+    """A network that takes inputs made by `inputs_of` from a `Stream`, and from their `arrays` again by `of_arrays`."""
+    from learned.spikesr import spikesr_loss
+    from learned.unrolled_ista import iterate
+    from scsr_opt.placing import Stream
+
+    def inputs(spikes: Any, white_rate: Any) -> Any:
+        return inputs_of(Stream(np.asarray(spikes), len(spikes) // 2, float(white_rate), None))
+
+    def make(example: Example) -> Mapping[str, Any]:
+        return inputs(example.spikes, example.white_rate).arrays() | {"truth": example.truth}
+
+    def loss(model: Any, prepared: Any) -> Float[Array, ""]:
+        images = model(of_arrays(prepared)).images
+        # There the scene has left the sensor for a part of the recording, and no motion is known.
+        border = scale * min(8, min(images.shape[1:]) // scale // 8)
+        inner = slice(border, -border or None)
+        return spikesr_loss(images[:, inner, inner], prepared["truth"].astype(images.dtype)[inner, inner])
+
+    def prepared_picture(model: Any, prepared: Any) -> Float[Array, "H W"]:
+        return model(of_arrays(prepared)).images[-1]
+
+    def iterates(model: Any, spikes: Any, white_rate: Any, start: Any = None) -> Any:
+        return iterate(model, inputs(spikes, white_rate), start)
+
+    def picture(model: Any, spikes: Any, white_rate: Any) -> Float[Array, "H W"]:
+        return iterates(model, spikes, white_rate).images[-1]
+
+    return Trainable(build, loss, picture, iterates, Preparation(make, made_of, prepared_picture))
 
 
 MODELS["spikesr"] = _spikesr
+MODELS["unrolled"] = _unrolled
+MODELS["unrolled_pase"] = _unrolled_pase
 
 
-def _replaced(config: Any, sizes: Mapping[str, Any]) -> Any:
-    """A configuration with some of its sizes replaced. **Raises:** `InputError` if it has no such size."""
+def _replaced(config: Any, sizes: Mapping[str, Any], *also: str) -> Any:
+    """A configuration with some of its sizes replaced. **Raises:** `InputError` if it has no such size.
+
+    **Arguments:** `also`: what is allowed beside them, for the message.
+    """
     known = {field.name for field in dataclasses.fields(config)} - {"scale"}
     for name, value in sizes.items():
         if name not in known:
-            raise InputError(f"network.{name} is not known: allowed are size, {', '.join(sorted(known))}.")
+            raise InputError(f"network.{name} is not known: allowed are {', '.join([*also, *sorted(known)])}.")
         now = getattr(config, name)
         if isinstance(now, tuple) != isinstance(value, list | tuple) or (
             not isinstance(now, tuple) and type(now) is not type(value)

@@ -26,12 +26,12 @@ import optax
 from jaxtyping import Array, Float
 from PIL import Image
 
-from learned.ridge import RidgeRegulariser, correlate, correlate_adjoint, derivative, load, save
+from learned.ridge_regulariser import RidgeRegulariser, correlate, correlate_adjoint, derivative, load, save
 from scsr_opt.errors import InputError
 
 SIDE = 7
 # Negative slopes down to this share of the largest positive one, for the weakly convex prior.
-WEAKEST = 0.1
+WEAKEST = 0.15
 _PATCH, _BATCH, _BATCHES = 48, 8, 30
 _TASKS = ((1, True), (2, True), (2, False), (4, True), (4, False))
 _NOISE = (0.004, 0.03)
@@ -118,7 +118,17 @@ def parts(θ: Parameters, weakly: bool) -> tuple[Array, Array, Array]:
     rise = jnp.concatenate([θ.knots[:, :1], jax.nn.softplus(θ.knots[:, 1:])], 1)
     least = WEAKEST if weakly else 0.0
     slopes = -least + (1 + least) * jax.nn.sigmoid(θ.slopes)
-    return filters, with_copies(jnp.exp(jnp.cumsum(rise, 1))), with_copies(slopes)
+    knots = jnp.exp(jnp.cumsum(rise, 1))
+    return filters, with_copies(knots), with_copies(_rising(knots, slopes) if weakly else slopes)
+
+
+def _rising(knots: Array, slopes: Array) -> Array:
+    """Slopes that fall no further than to where ψ' is 0: below that ψ would have no minimum."""
+    lengths, height, risen = jnp.diff(knots, axis=1, prepend=0), jnp.zeros_like(knots[:, 0]), []
+    for j in range(knots.shape[1]):
+        before, height = height, jnp.maximum(height + slopes[:, j] * lengths[:, j], 0)
+        risen.append((height - before) / lengths[:, j])
+    return jnp.stack(risen, 1)
 
 
 def pictures(folder: Path | None) -> list[Float[np.ndarray, "H W"]]:

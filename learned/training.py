@@ -9,13 +9,15 @@ A run lives in a folder:
   A run may be gone on with for more steps; a cosine's learning rate then follows the longer plan from there.
 - `last.scsr`, `best.scsr`: the averaged weights, with their card (see `learned.checkpoint`); best in mean PSNR.
 - `loss.csv`, `validation.csv`, `curves.png`, `samples/STEP.png`: for people.
+- `examples/`: those that were prepared before the first step, for networks that need that (`learned.prepared`).
 """
 
 import enum
+import functools
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,8 +32,9 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from learned import checkpoint, validation
 from learned.configs import TrainingConfig
-from learned.data import Example, Examples, Pictures
-from learned.feed import batches
+from learned.data import Examples, Pictures
+from learned.feed import batches, stacked
+from learned.prepared import Preparing, prepare
 from learned.registry import Trainable, trainable
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
@@ -130,10 +133,10 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
     step = _step(static, task, optimiser, config)
     progress = NoProgress() if progress is None else progress
     start, waited, unread = int(state.done), 0.0, []
+    feed = _feed(config, task, examples, start, folder, progress)
     progress.start(config.steps, "Training")
     progress.advance(start)
     try:
-        feed = batches(examples, config.batch, start, config.steps, workers=_workers(config))
         with closing(feed):
             for done in range(start + 1, config.steps + 1):
                 asked = time.perf_counter()
@@ -190,8 +193,38 @@ def _examples(config: TrainingConfig) -> Examples:
     return Examples(config.scale, config.frames, config.patch, config.seed, config.scenes, config.lights, pictures)
 
 
-def _workers(config: TrainingConfig) -> int:
-    return max(1, min(8, (os.cpu_count() or 1) - 1)) if config.workers is None else config.workers
+def _feed(
+    config: TrainingConfig, task: Trainable, examples: Examples, start: int, folder: Path, progress: Progress
+) -> Generator[Any, None, None]:
+    """The batches from step `start` on: each example new, or drawn from those that are prepared now."""
+    cores = os.cpu_count() or 1
+    if task.preparation is None:
+        workers = max(1, min(8, cores - 1)) if config.workers is None else config.workers
+        return batches(examples, config.batch, start, config.steps, workers=workers)
+    if config.prepared is None:
+        raise InputError(
+            f"The network {config.model!r} learns from examples that are prepared before the first step, but the "
+            f"configuration does not say how many: add an entry prepared, for example prepared = 800."
+        )
+    fields = ("scale", "frames", "patch", "scenes", "lights", "pictures", "seed", "prepared")
+    made_of = {"model": config.model, "network": dict(task.preparation.made_of)}
+    made_of |= {name: value for name, value in config.plain().items() if name in fields}
+    preparing = Preparing(examples, config.model, config.scale, config.network)
+    workers = min(8, cores) if config.workers is None else config.workers
+    drawn = prepare(preparing, config.prepared, folder / "examples", made_of, workers=workers, progress=progress)
+    return _drawn(drawn, config, start)
+
+
+def _drawn(examples: list[Any], config: TrainingConfig, start: int) -> Generator[Any, None, None]:
+    """Batches of examples, all of them once in an order of chance, then again in another; by seed and step alone."""
+
+    @functools.lru_cache(maxsize=2)
+    def order(turn: int) -> Int[np.ndarray, " n"]:
+        return np.random.default_rng([config.seed, turn]).permutation(len(examples))
+
+    for step in range(start, config.steps):
+        numbers = (divmod(n, len(examples)) for n in range(step * config.batch, (step + 1) * config.batch))
+        yield stacked([examples[order(turn)[place]] for turn, place in numbers])
 
 
 def _make_folder(folder: Path) -> None:
@@ -213,11 +246,11 @@ def _step(static: PyTree, task: Trainable, optimiser: optax.GradientTransformati
     """The compiled step: (state, batch) → (state, loss). The old state's memory is used for the new one."""
     compute = jnp.dtype(config.precision)
 
-    def mean_loss(weights: PyTree, batch: Example) -> Float[Array, ""]:
+    def mean_loss(weights: PyTree, batch: Any) -> Float[Array, ""]:
         model = eqx.combine(jax.tree.map(lambda leaf: leaf.astype(compute), weights), static)
         return jnp.mean(jax.vmap(lambda example: task.loss(model, example))(batch).astype(jnp.float32))
 
-    def step(state: _State, batch: Example) -> tuple[_State, Float[Array, ""]]:
+    def step(state: _State, batch: Any) -> tuple[_State, Float[Array, ""]]:
         loss, gradient = jax.value_and_grad(mean_loss)(state.weights, batch)
         good = jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
         with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32 and multiplies by them
@@ -253,9 +286,12 @@ class _History:
         self._cases = validation.validation_set(config.scale, config.frames, config.patch)
         images = [validation.playback(case, config.scale) for _, case in self._cases]
         self.playback = validation.scores(self._cases, images, config.scale)
-        self._picture = jax.jit(
-            lambda weights, spikes, white_rate: task.picture(eqx.combine(weights, static), spikes, white_rate)
-        )
+        picture: Callable[..., Any] = task.picture
+        self._given: list[tuple[Any, ...]] = [(case.spikes, case.white_rate) for _, case in self._cases]
+        if task.preparation is not None:
+            picture = task.preparation.picture
+            self._given = [(dict(task.preparation.make(case)),) for _, case in self._cases]
+        self._picture = jax.jit(lambda weights, *given: picture(eqx.combine(weights, static), *given))
 
     def resume(self, first: _State) -> _State:
         """The state in the folder, or `first` if there is none."""
@@ -279,7 +315,7 @@ class _History:
     def validate(self, state: _State) -> None:
         """Scores the averaged weights, writes samples, and keeps the weights if they are the best."""
         scale = self._config.scale
-        images = validation.pictures(self._cases, lambda s, rate: self._picture(state.average, s, rate))
+        images = [np.asarray(self._picture(state.average, *given)) for given in self._given]
         found = validation.scores(self._cases, images, scale)
         best = all(not found["psnr"] <= row["psnr"] for row in self.validated)
         self.validated.append({"step": int(state.done)} | found)

@@ -6,7 +6,7 @@ a scale and a patch size, so that runs compare.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -120,12 +120,3 @@ def draw_curves(path: Path, losses: Float[np.ndarray, " n"], validated: Sequence
 
 def _columns(pairs: Sequence[tuple[float | int, float]]) -> tuple[list[float | int], list[float]]:
     return [x for x, _ in pairs], [y for _, y in pairs]
-
-
-Picture = Callable[[Any, Any], Any]
-"""(spikes, white_rate) → picture."""
-
-
-def pictures(cases: Sequence[tuple[str, Example]], picture: Picture) -> list[Float[np.ndarray, "H W"]]:
-    """What a network makes of every recording."""
-    return [np.asarray(picture(case.spikes, case.white_rate)) for _, case in cases]

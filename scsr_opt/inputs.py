@@ -14,6 +14,8 @@ from scsr_opt.errors import InputError
 
 # Pixels of the largest picture: a solve holds about 40 numbers for each, 16 GB in all.
 _MOST_PIXELS = 10**8
+# λ² and λΨ have to be numbers in float32, below 3e38; Ψ of the largest picture is below 1e12.
+_STRONGEST = 1e18
 
 
 def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
@@ -31,12 +33,18 @@ def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) 
 def number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], limits: str) -> float:
     """`value` as a finite float that is `allowed`, or an `InputError` that names it and its `limits`."""
     try:
-        found = float(value)
+        # NumPy's complex numbers would drop their imaginary part.
+        found = math.nan if isinstance(value, np.complexfloating) else float(value)
     except (TypeError, ValueError):
         found = math.nan
     if not (math.isfinite(found) and allowed(found)):
         raise InputError(f"{name} is {value!r}; it must be a finite number {limits}.")
     return found
+
+
+def prior_strength(strength: SupportsFloat) -> float:
+    """λ as a float. **Raises:** `InputError` if it is not a number from 0 to 1e18, the most that float32 works with."""
+    return number(strength, "strength", lambda v: 0 <= v <= _STRONGEST, f"from 0 to {_STRONGEST:g}")
 
 
 def check_type(value: object, kind: type, name: str, example: str) -> None:
@@ -67,11 +75,13 @@ def bad_pixels_of(recording: Recording, more: ArrayLike | None) -> Bool[np.ndarr
 def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h w"]:
     """`gain` as float32 (h, w). **Raises:** `InputError` if it has another shape or is not finite and above 0."""
     try:
-        found = np.asarray(gain, np.float32)
+        array = np.asarray(gain)
+        kind = "a complex array" if np.iscomplexobj(array) else "an array"
+        found = None if np.iscomplexobj(array) else array.astype(np.float32)
     except (TypeError, ValueError):
-        found = None
+        array, kind, found = None, "", None
     if found is None or found.shape != (height, width):
-        given = repr(gain) if found is None or found.ndim == 0 else f"an array of shape {found.shape}"
+        given = repr(gain) if array is None or array.ndim == 0 else f"{kind} of shape {array.shape}"
         raise InputError(
             f"gain is {given}; it must be 'auto', 'blind' or one gain for each pixel, ({height}, {width})."
         )

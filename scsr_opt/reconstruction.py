@@ -16,7 +16,7 @@ from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.inputs import bad_pixels_of, check_type, number, picture_shape, pixel_gain, whole
+from scsr_opt.inputs import bad_pixels_of, check_type, number, picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.estimate import Estimator, estimate_motion, filled, given
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
@@ -33,7 +33,7 @@ from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
-from scsr_opt.strength import noise_of_mean, strength_of_noise, validated_strength
+from scsr_opt.strength import noise_of_mean, relative_strength, strength_of_noise, validated_strength
 
 # Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
 # short enough for motion to be smooth.
@@ -82,7 +82,7 @@ def reconstruct(
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
     - `prior`: Ψ; `HuberTotalVariation` if not given.
     - `strength`: λ; if not given, the one that predicts intervals which were held out
-      (`validated_strength`), or, with a robust loss, by their noise.
+      (`validated_strength`), or, with a robust loss, by their noise. `PlugAndPlay` needs one.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.
     - `solver`: `FISTA` if not given. Its limit of iterations holds for the first solve and, where exposures are long
       enough to need them or `robust` is given, for each of up to ten corrections after it.
@@ -103,6 +103,7 @@ def reconstruct(
     shape = picture_shape(recording, scale)
     check_type(samples, Measuring, "samples", "Intervals()")
     check_type(prior, Prior, "prior", "HuberTotalVariation()")
+    prior = HuberTotalVariation() if prior is None else prior
     check_type(solver, Solver, "solver", "FISTA()")
     check_type(robust, Loss, "robust", "Huber()")
     lens = None if isinstance(optics, str) and optics == "estimate" else optics
@@ -115,7 +116,9 @@ def reconstruct(
     rate = recording.white_rate if white_rate is None else white_rate
     rate = number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
     if strength is not None:
-        strength = number(strength, "strength", lambda v: v >= 0, "of at least 0")
+        strength = prior_strength(strength)
+    else:
+        relative_strength(prior)  # one without is refused before anything is computed
     bad = bad_pixels_of(recording, bad_pixels)
     stream = Stream(recording.window(start, stop), key - start, rate, bad)
     if bad is not None:
@@ -138,14 +141,14 @@ def reconstruct(
 
     rounds = Rounds(
         solver=FISTA() if solver is None else solver,
-        prior=HuberTotalVariation() if prior is None else prior,
-        strength=jnp.asarray(strength_of_noise(stream, scale) if strength is None else strength, jnp.float32),
+        prior=prior,
+        strength=jnp.asarray(strength_of_noise(stream, scale, prior) if strength is None else strength, jnp.float32),
         optics=lens,
         robust=robust,
         progress=progress,
         keep_images=keep_images,
     )
-    image = _first_picture(stream, shape)
+    image = first_picture(stream, shape)
     learned: dict[str, float] = {}
     if lens is not optics:
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
@@ -157,6 +160,7 @@ def reconstruct(
             scale=scale,
             positions=taken.placed.positions,
             prior=rounds.prior,
+            solver=rounds.solver,
             measuring=measuring,
             gain=gains,
             optics=rounds.optics,
@@ -216,7 +220,7 @@ class _Clock:
         self._last = now
 
 
-def _first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
+def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
     """X^(0): the rate over 21 frames around the key frame, enlarged."""
     frames, bad = len(stream.spikes), stream.bad_pixels
     if frames > 1:

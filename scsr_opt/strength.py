@@ -7,6 +7,7 @@ scenes want several times as much. So λ is validated (`validated_strength`): pa
 picture made from the others has to predict them.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,18 +19,20 @@ from jaxtyping import Array, Bool, Float
 from scsr_opt.camera.gain import with_gain
 from scsr_opt.camera.measuring import Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, place, with_exposure
 from scsr_opt.placing import Stream
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.iterate import run
+from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
+from scsr_opt.solvers.smooth import Smooth
 
-# λ = _SMOOTHING · √(noise / frames) · 2 / scale. The square root is how far noise moves the gradient of f at a
-# pixel, which total variation has to hold down; the constant and the scale's part were found on stills with known
-# answers, several kinds of motion, two lights and two scales (docs/measurements.md).
+# λ = _SMOOTHING · √(noise / frames) · 2 / scale · relative_strength. The square root is how far noise moves the
+# gradient of f at a pixel, which total variation has to hold down; the constant and the scale's part were found on
+# stills with known answers, several kinds of motion, two lights and two scales (docs/measurements.md).
 _SMOOTHING = 0.06
 
 # Side of the part of the picture that λ is validated on, in high-resolution pixels.
@@ -46,9 +49,20 @@ _LOWEST, _HIGHEST = 0.5, 16.0
 _ITERATIONS, _TOLERANCE = 60, 5e-4
 
 
-def strength_of_noise(stream: Stream, scale: int) -> float:
-    """λ from how much neighbouring intervals of a pixel differ."""
-    return _SMOOTHING * noise_of_mean(stream) * 2 / scale
+def strength_of_noise(stream: Stream, scale: int, prior: Prior) -> float:
+    """λ from how much neighbouring intervals of a pixel differ. **Raises:** as `relative_strength`."""
+    return _SMOOTHING * noise_of_mean(stream) * 2 / scale * relative_strength(prior)
+
+
+def relative_strength(prior: Prior) -> float:
+    """That of the prior. **Raises:** `InputError` where there is none."""
+    found = prior.relative_strength
+    if found is None:
+        raise InputError(
+            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; hand one in: "
+            "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-4."
+        )
+    return found
 
 
 def noise_of_mean(stream: Stream) -> float:
@@ -84,6 +98,7 @@ def validated_strength(
     scale: int,
     positions: int,
     prior: Prior,
+    solver: Solver,
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
     optics: LinearOperator | None = None,
@@ -94,9 +109,12 @@ def validated_strength(
     picture serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor; a lens makes
     that part the whole picture, as its blur is made for one size.
 
-    **Arguments:** `positions` along an exposure, `prior`, `measuring`, `gain` and `optics` as for the reconstruction.
+    **Arguments:** `positions` along an exposure, `prior`, `solver`, `measuring`, `gain` and `optics` as for the
+    reconstruction; `FISTA` stands in for solvers that use the prior's proximal step, as it does.
+
+    **Raises:** as `relative_strength`.
     """
-    least = strength_of_noise(stream, scale)
+    least = strength_of_noise(stream, scale, prior)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
     rows, columns = (_middle(length, side) for length in stream.spikes.shape[1:])
     part = Stream(
@@ -109,7 +127,9 @@ def validated_strength(
     validation = _split(part, motion.part(rows, columns), scale, positions, measuring, gain, optics)
     if validation is None:
         return least
-    solver = FISTA(_ITERATIONS, _TOLERANCE)
+    # A prior that is used by its gradient need not have a proximal step.
+    kind = solver if isinstance(solver, Smooth) else FISTA()
+    solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
     image = jnp.full(validation.plain.shape, jnp.mean(validation.placed.value), jnp.float32)
     term, state = validation.plain, None
     tried: dict[float, float] = {}

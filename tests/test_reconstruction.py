@@ -12,6 +12,7 @@ from scsr_opt.camera import Sensor, Windows, read_recording, simulate, tfp
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.demo import psnr
 from scsr_opt.motion import Still
+from scsr_opt.priors import Bounded, PlugAndPlay, nl_means
 from scsr_opt.report import bicubic
 from scsr_opt.solvers import FISTA
 
@@ -158,13 +159,19 @@ def test_small_sensors_before_which_something_moves(shape):
         ({"key": 31}, "key is 31; it must be a whole number, from 0 to 30."),
         ({"frames": 0}, "frames is 0; it must be a whole number, at least 1."),
         ({"white_rate": 0}, "white_rate is 0; it must be a finite number above 0, in spikes per frame."),
-        ({"strength": -1.0}, "strength is -1.0; it must be a finite number of at least 0."),
-        ({"strength": float("nan")}, "strength is nan; it must be a finite number of at least 0."),
+        ({"strength": -1.0}, "strength is -1.0; it must be a finite number from 0 to 1e+18."),
+        ({"strength": float("nan")}, "strength is nan; it must be a finite number from 0 to 1e+18."),
+        ({"strength": 1e38}, "strength is 1e+38; it must be a finite number from 0 to 1e+18."),
+        ({"strength": np.complex64(1j)}, "it must be a finite number from 0 to 1e+18."),
+        ({"prior": PlugAndPlay(nl_means())}, "No strength is given, and that of PlugAndPlay cannot be set from"),
+        ({"prior": Bounded(PlugAndPlay(nl_means()))}, "No strength is given, and that of Bounded cannot be set from"),
         ({"bad_pixels": np.zeros((2, 2), bool)}, "bad_pixels has shape (2, 2), but the sensor has 8 rows"),
         ({"bad_pixels": np.full((8, 9), 2)}, "bad_pixels holds values of type int64 other than 0 and 1"),
         ({"refine": -1}, "refine is -1; it must be a whole number, at least 0."),
         ({"gain": "sharp"}, "gain is 'sharp'; it must be 'auto', 'blind' or one gain for each pixel, (8, 9)."),
         ({"gain": np.ones((9, 8))}, "gain is an array of shape (9, 8); it must be 'auto', 'blind'"),
+        ({"gain": np.full((8, 9), 1 + 1j)}, "gain is a complex array of shape (8, 9); it must be 'auto', 'blind'"),
+        ({"gain": 1j}, "gain is 1j; it must be 'auto', 'blind' or one gain for each pixel, (8, 9)."),
         ({"gain": np.zeros((8, 9))}, "gain holds 72 values that are not finite and above 0; mark such pixels"),
         ({"samples": Windows(32)}, "windows of 32 frames do not fit a recording of 31"),
         ({"velocity": "fast"}, "velocity is 'fast'; it must be an array of shape (2, 8, 9), two numbers"),

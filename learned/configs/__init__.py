@@ -27,6 +27,8 @@ class TrainingConfig:
     - `scale`, `frames`, `patch`, `scenes`, `lights`, `seed`: see `learned.data.Examples`; `seed` is also that of the
       first weights.
     - `pictures`: folder of stills and clips (`learned.data.Pictures.folder`); None: those of scikit-image.
+    - `prepared`: how many examples are made before the first step and then drawn from, for a network that does not
+      take the spikes themselves (`learned.prepared`); None for the others, which see none twice.
     - `batch`: examples per step; the paper's 6.
     - `steps`: of Adam (Kingma and Ba 2015).
     - `rate`: the greatest learning rate. `schedule`: `constant`; `halving` every `halve_every` steps; `cosine`, from 0
@@ -61,6 +63,7 @@ class TrainingConfig:
     validate_every: int = 500
     save_every: int = 100
     workers: int | None = None
+    prepared: int | None = None
 
     def __post_init__(self):
         _check(vars(self))
@@ -171,4 +174,5 @@ _RULES: dict[str, _Rule] = {
     "validate_every": _whole(1, "steps"),
     "save_every": _whole(1, "steps"),
     "workers": _whole(0, "processes", or_none=True),
+    "prepared": _whole(1, "examples", or_none=True),
 }

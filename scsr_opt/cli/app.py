@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from cyclopts import App, CycloptsError, MissingArgumentError
 
 from scsr_opt.cli.baseline import baseline
+from scsr_opt.cli.compare import compare
+from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.demo import demo
 from scsr_opt.cli.info import info
 from scsr_opt.cli.options import say_error
@@ -40,7 +42,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, baseline, demo, train):
+for _command in (info, simulate, play, solve, baseline, demo, train, compare):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 
@@ -51,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     What is wrong with the request is said in one line on standard error. With SCSR_TRACEBACK=1 in the environment every
     error keeps its traceback, for finding faults in the program itself.
     """
+    if arguments is None:  # a process of its own
+        keep_compiled()
     try:
         with _warnings_in_one_line():
             code = app(list(sys.argv[1:] if arguments is None else arguments), exit_on_error=False, print_error=False)

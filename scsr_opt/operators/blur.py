@@ -1,6 +1,5 @@
 """The optical point-spread function H of Eq. 2 as an explicit convolution."""
 
-import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -12,6 +11,11 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.operator import LinearOperator, picture_shape
+
+# A Gaussian so many standard deviations away is below 1e-21 of its top, nothing beside it in double precision.
+_FARTHEST = 10
+# Pixels up to which a Gaussian may be wide on pictures that are smaller still.
+_ALWAYS = 10
 
 
 class Blur(LinearOperator):
@@ -49,9 +53,14 @@ class Blur(LinearOperator):
 
         It is sampled at the pixel centres out to `truncate` standard deviations and scaled to sum 1, as
         `scipy.ndimage.gaussian_filter(mode="reflect")` does it. `sigma` 0 leaves the picture as it is.
+
+        **Errors:** `InputError` for a `sigma` that is negative, or above 10 and the longer side of the picture (all of
+        which then goes to every pixel alike), or a `truncate` that is not from 0 (excluded) to 10 (beyond which
+        nothing is left in double precision).
         """
         rows, columns = (sigma, sigma) if isinstance(sigma, int | float) else sigma
-        down, right = _gaussian(rows, truncate), _gaussian(columns, truncate)
+        most = max(*picture_shape(shape, "Blur"), _ALWAYS)
+        down, right = _gaussian(rows, truncate, most), _gaussian(columns, truncate, most)
         passes = [kernel for kernel in (down[:, None], right[None, :]) if kernel.size > 1]
         return cls._of_passes(shape, passes)
 
@@ -96,13 +105,17 @@ def _convolve(x: Float[Array, "H W"], kernel: Float[Array, "kh kw"]) -> Float[Ar
     return total
 
 
-def _gaussian(sigma: float | int, truncate: float | int) -> Float[np.ndarray, " k"]:
-    if not (math.isfinite(sigma) and sigma >= 0):
+def _gaussian(sigma: float | int, truncate: float | int, most: int) -> Float[np.ndarray, " k"]:
+    if not 0 <= sigma <= most:
         raise InputError(
-            f"Blur.gaussian was given sigma {sigma}; it is a standard deviation in pixels, finite and at least 0."
+            f"Blur.gaussian was given sigma {sigma}; it is a standard deviation in pixels, for this picture from 0 to "
+            f"{most}."
         )
-    if not (math.isfinite(truncate) and truncate > 0):
-        raise InputError(f"Blur.gaussian was given truncate {truncate}; it is a number of standard deviations above 0.")
+    if not 0 < truncate <= _FARTHEST:
+        raise InputError(
+            f"Blur.gaussian was given truncate {truncate}; it is a number of standard deviations above 0 and at most "
+            f"{_FARTHEST}."
+        )
     radius = int(truncate * sigma + 0.5)
     offset = np.arange(-radius, radius + 1)
     kernel = np.exp(-0.5 * (offset / sigma) ** 2) if radius else np.ones(1)

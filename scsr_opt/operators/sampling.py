@@ -161,6 +161,11 @@ def place(samples: Samples, path: Trajectory, *, scale: int, positions: int, sha
     - `path`: where in the key frame lies what a pixel sees.
     - `scale` s, `shape` (H, W) of the high-resolution picture.
     - `positions`: K, spread evenly over each exposure; 1 takes its middle.
+
+    A sample that leaves the picture at any time of its exposure is dropped. Of a scene that passes through a small
+    picture within a few exposures the short ones of bright moments remain, and it comes out too bright (by half at one
+    sensor pixel a frame on 24 of them). Counting such samples for the part of them
+    inside mends that and costs 1 dB where a lens blurs across the border.
     """
     height, width = shape
     start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))

@@ -67,6 +67,11 @@ class Bounded(Prior[BoundedState]):
         self.lower, self.upper = float(lower), most
         self.rounds = whole("Bounded", rounds, "rounds")
 
+    @property
+    def relative_strength(self) -> float | None:
+        """That of the prior."""
+        return self.prior.relative_strength
+
     def clip(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """The nearest picture within the bounds."""
         return jnp.clip(image, self.lower, self.upper)

@@ -28,6 +28,11 @@ class PlugAndPlay(Prior[None]):
 
     denoiser: Denoiser
 
+    @property
+    def relative_strength(self) -> None:
+        """None: λ is a variance, and how much a denoiser takes away for it is its own affair."""
+        return None
+
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """0: there is none."""
         return jnp.zeros((), image.dtype)

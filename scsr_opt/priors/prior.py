@@ -22,6 +22,13 @@ class Prior(eqx.Module, Generic[State]):
 
     smooth: ClassVar[bool] = False
 
+    @property
+    def relative_strength(self) -> float | None:
+        """The λ with which this prior does about as much as total variation with λ = 1: what an edge costs there over
+        what it costs here. Where nobody gives λ, it is looked for around the one by noise times this. None where such
+        a number does not exist; λ has to be given then."""
+        return 1.0
+
     @abc.abstractmethod
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image)."""

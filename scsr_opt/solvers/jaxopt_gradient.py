@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
+from scsr_opt.priors.bounded import Bounded
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -112,6 +113,8 @@ class _Jaxopt(Solver[JaxoptState]):
 
     def _patient(self, prior: Prior) -> Prior:
         """The prior with as many inner iterations as a step from a fresh state needs."""
+        if isinstance(prior, Bounded):
+            return dataclasses.replace(prior, prior=self._patient(prior.prior))
         given = getattr(prior, "iterations", None)
         if isinstance(given, int) and given < self.inner_iterations:
             return dataclasses.replace(prior, iterations=self.inner_iterations)

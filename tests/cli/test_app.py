@@ -25,11 +25,11 @@ def test_help_comes_at_once_and_without_jax():
     assert time.perf_counter() - started < 5  # half a second on an idle machine; what is heavy takes longer than this
 
 
-@pytest.mark.parametrize("command", ["info", "simulate", "play", "solve", "baseline", "demo"])
+@pytest.mark.parametrize("command", ["info", "simulate", "play", "solve", "baseline", "demo", "train", "compare"])
 def test_help_of_every_command(scsr, command):
     said = scsr(command, "--help")
     assert f"scsr {command}" in said
-    if command in ("info", "play", "solve", "baseline"):
+    if command in ("info", "play", "solve", "baseline", "compare"):
         assert "Spikes per frame" in said and "Hz" in said  # units
     if command in ("simulate", "solve"):
         assert "sensor pixels per frame" in " ".join(said.replace("│", " ").split())

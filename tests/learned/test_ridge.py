@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import skimage.data
 
-import learned.ridge as ridge
+import learned.ridge_regulariser as ridge
 import scsr_opt
-from learned.ridge import RidgeRegulariser
+from learned.ridge_regulariser import RidgeRegulariser
 from learned.ridge_training import WEAKEST, bend, initial, parts, pictures, train
 from scsr_opt.errors import InputError
 from scsr_opt.solvers import FISTA, ISTA, NonlinearCG

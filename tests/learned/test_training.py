@@ -1,17 +1,20 @@
 """The training loop, with a network that is one convolution of the enlarged firing rate."""
 
+import json
 import os
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned import checkpoint, configs, registry, training
+from learned import checkpoint, configs, inputs, prepared, registry, training, validation
 from learned.configs import TrainingConfig
-from learned.registry import Trainable, trainable
+from learned.registry import Preparation, Trainable, trainable
 from learned.training import SKIPPED_IN_A_ROW, TrainingResult, learning_rate, train
 from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion
 from scsr_opt.progress import NoProgress
 
 CONFIG = TrainingConfig(
@@ -67,6 +70,110 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
     ]  # fmt: skip
     for name in ("state", *names):  # to the last bit: weights, averages, optimiser, losses, pictures
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes(), name
+
+
+PREPARED = CONFIG.changed(model="prepared", prepared=10, batch=4, validate_every=6, save_every=3)
+
+
+@pytest.fixture
+def made(monkeypatch) -> list[float]:
+    """A network that is given the enlarged firing rate, and the sums of the truths of all examples made for it."""
+    sums: list[float] = []
+
+    def network_with_preparation(scale, network) -> Trainable:
+        plain = tiny(scale, network)
+
+        def make(example):
+            sums.append(float(example.truth.sum()))
+            rate = example.spikes.mean(0, dtype=np.float32) / example.white_rate
+            return {"rate": rate.repeat(scale, 0).repeat(scale, 1), "truth": example.truth, "sum": np.float32(sums[-1])}
+
+        def picture(model, given):
+            return model(given["rate"].astype(jnp.float32)[None])[0]
+
+        def loss(model, given):
+            return jnp.mean(jnp.abs(picture(model, given) - given["truth"].astype(jnp.float32)))
+
+        return plain._replace(loss=loss, preparation=Preparation(make, {"size": network.get("size", 1)}, picture))
+
+    monkeypatch.setitem(registry.MODELS, "prepared", network_with_preparation)
+    monkeypatch.setattr(validation, "KINDS", ("static",))
+    return sums
+
+
+def test_prepared_examples_are_made_once(tmp_path, made):
+    train(PREPARED, tmp_path / "straight")
+    shown = 1 * validation.EACH
+    assert len(made) == len(set(made)) == shown + 10
+    with pytest.raises(KeyboardInterrupt):
+        train(PREPARED, tmp_path / "killed", progress=Killed(8))
+    assert len(made) == shown + 10 + shown + 8
+    assert [path.name for path in sorted((tmp_path / "killed" / "examples").iterdir())] == ["000000.npz"]
+    with pytest.raises(KeyboardInterrupt):
+        train(PREPARED, tmp_path / "killed", progress=Killed(8 + 2 + 5))
+    assert len(made) == 2 * (shown + 10) + shown  # two more examples, five steps
+    train(PREPARED, tmp_path / "killed")
+    assert len(made) == 2 * (shown + 10) + 2 * shown
+    for name in ("state", "best.scsr", "examples/000000.npz", "examples/000008.npz"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes(), name
+
+
+def test_prepared_examples_come_in_turn(tmp_path, made):
+    train(PREPARED.changed(steps=1), tmp_path)
+    examples = made[validation.EACH :]
+    kept = prepared.prepare(
+        prepared.Preparing(training._examples(PREPARED), "prepared", 2, {}),
+        10,
+        tmp_path / "examples",
+        json.loads(str(np.load(tmp_path / "examples" / "000000.npz")["made_of"])),
+        workers=0,
+    )
+    assert [float(example["sum"]) for example in kept] == pytest.approx(examples)
+    assert kept[0]["rate"].dtype == np.float16 and kept[0]["sum"].dtype == np.float32
+    drawn = [b["sum"].tolist() for b in training._drawn(kept, PREPARED.changed(steps=5), 0)]
+    flat = sum(drawn, [])
+    assert sorted(flat[:10]) == sorted(flat[10:]) == pytest.approx(sorted(examples)) and flat[:10] != flat[10:]
+    assert [b["sum"].tolist() for b in training._drawn(kept, PREPARED.changed(steps=5), 3)] == drawn[3:]
+
+
+def test_prepared_examples_that_cannot_be_used(tmp_path, made):
+    with pytest.raises(InputError, match="does not say how many: add an entry prepared"):
+        train(PREPARED.changed(prepared=None), tmp_path)
+    train(PREPARED.changed(steps=1), tmp_path / "a")
+    (tmp_path / "b").mkdir()
+    (tmp_path / "a" / "examples").rename(tmp_path / "b" / "examples")
+    with pytest.raises(InputError, match=r"000000\.npz was made with another configuration: seed is 0 there"):
+        train(PREPARED.changed(seed=1), tmp_path / "b")
+    (tmp_path / "b" / "examples" / "000008.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"000008\.npz is damaged or holds no prepared examples"):
+        train(PREPARED, tmp_path / "b")
+
+
+@pytest.fixture
+def quick_compilation():
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
+
+
+def test_a_killed_run_of_the_unrolled_iteration_goes_on_to_the_same_result(tmp_path, monkeypatch, quick_compilation):
+    """With a motion that is known, as compiling its estimate takes longest here."""
+    monkeypatch.setattr(validation, "KINDS", ("static",))
+    monkeypatch.setattr(inputs, "estimate_motion", lambda spikes, **_: Motion.none(*spikes.shape[1:]))
+    config = CONFIG.changed(
+        model="unrolled", network={"stages": 1, "channels": 2, "blocks": 0, "boundaries": [3]}, prepared=3,
+        scenes=["static"],
+    )  # fmt: skip
+    straight = train(config, tmp_path / "straight")
+    with pytest.raises(KeyboardInterrupt):
+        train(config, tmp_path / "killed", progress=Killed(3 + 5))  # examples are counted as well as steps
+    resumed = train(config, tmp_path / "killed")
+    assert resumed.steps == 6 and resumed.losses.tobytes() == straight.losses.tobytes()
+    for name in ("state", "last.scsr", "best.scsr"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes(), name
+    model, _ = checkpoint.load(tmp_path / "straight" / "last.scsr")
+    assert np.array_equal(model.log_factors, straight.model.log_factors) and np.any(model.log_factors != 0)
 
 
 def test_a_finished_run_has_nothing_left_to_do_and_can_be_made_longer(tmp_path):
@@ -141,12 +248,13 @@ def test_learning_rates():
     assert at(0, schedule="cosine", warm_up=0) == [1]
 
 
-@pytest.mark.parametrize("name", ["full-x2", "full-x4", "small-x2", "small-x4", "smoke"])
+@pytest.mark.parametrize("name", configs.names())
 def test_configurations_that_come_along(name):
     config = TrainingConfig.read(name)
-    assert name in configs.names() and TrainingConfig.of(config.plain()) == config
-    assert name == "smoke" or name.endswith(f"x{config.scale}") and config.patch == 40 and config.batch == 6
-    trainable(config.model, config.scale, config.network)  # the sizes are ones that the network has
+    assert TrainingConfig.of(config.plain()) == config
+    assert name == "smoke" or name.endswith(f"x{config.scale}")
+    task = trainable(config.model, config.scale, config.network)  # the sizes are ones that the network has
+    assert (task.preparation is None) == (config.prepared is None)
 
 
 @pytest.mark.parametrize(
@@ -170,6 +278,7 @@ def test_configurations_that_come_along(name):
         ({"patch": 8}, "patch is 8, but it must be a whole number of at least 16, sensor pixels"),
         ({"network": 3}, "network is 3, but it must be a table of sizes"),
         ({"workers": -1}, "workers is -1"),
+        ({"prepared": 0}, "prepared is 0, but it must be a whole number of at least 1, examples"),
     ],
 )
 def test_configurations_that_are_refused(entries, message):
@@ -200,6 +309,13 @@ def test_files_that_are_no_configuration(tmp_path):
 def test_sizes_that_are_refused(network, message):
     with pytest.raises(InputError, match=message):
         trainable("spikesr", 2, network)
+
+
+def test_sizes_that_other_networks_refuse():
+    with pytest.raises(InputError, match="network.size is not known: allowed are blocks, boundaries, channels"):
+        trainable("unrolled", 2, {"size": "small"})
+    with pytest.raises(InputError, match="folding is 4; it must divide the scale, 2"):
+        trainable("unrolled_pase", 2, {"folding": 4})
 
 
 def test_what_cannot_be_trained(tmp_path):

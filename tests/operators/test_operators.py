@@ -419,6 +419,11 @@ def test_gaussian_refuses_what_is_no_width():
         Blur.gaussian(SHAPE, -1.0)
     with pytest.raises(InputError, match="sigma nan"):
         Blur.gaussian(SHAPE, (1.0, float("nan")))
+    for wide in (10.5, 1e9, float("inf")):
+        with pytest.raises(InputError, match="for this picture from 0 to 10"):
+            Blur.gaussian((6, 9), (1.0, wide))
+    with pytest.raises(InputError, match=r"truncate 1e\+30; .* at most 10"):
+        Blur.gaussian(SHAPE, 1.0, truncate=1e30)
     with pytest.raises(InputError, match="truncate 0"):
         Blur.gaussian(SHAPE, 1.0, truncate=0)
     with pytest.raises(InputError, match="picture shape"):

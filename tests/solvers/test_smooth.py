@@ -74,6 +74,18 @@ def test_tolerance_state_and_compilation(name, problem, case, monkeypatch):
     assert traced == []
 
 
+@pytest.mark.parametrize(("name", "strength"), [("NonlinearCG", 0.02), ("L-BFGS", 0.02), ("L-BFGS", 0.2)])
+def test_the_usual_tolerance_is_met_in_single_precision(name, strength, problem, case):
+    problem = eqx.tree_at(lambda p: p.strength, problem, jnp.float32(strength))
+    assert run(SOLVERS[name](), problem, case.start).result is Result.converged
+
+
+def test_rounding_of_the_objective_does_not_end_the_search(problem, case):
+    """Here f is 1.5 % of ½Σωy². Where values of F alone decide, it ends at 1e-4."""
+    outcome = run(LBFGS(iterations=60, tolerance=0), problem, case.start)
+    assert min(stage.residual for stage in outcome.stages) < 5e-5
+
+
 @pytest.mark.parametrize("name", SOLVERS)
 def test_kinks_are_refused(name, case):
     problem = eqx.tree_at(lambda p: p.prior, case.problem, TotalVariation())

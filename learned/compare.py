@@ -23,11 +23,10 @@ from learned.models import Model, Network, Optimizer, model
 from learned.posing import PRIOR, Moment, Posed, moment, pose, read
 from learned.running import Run
 from learned.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
-from learned.validation import quality
+from learned.validation import psnr, quality
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
 
@@ -183,13 +182,16 @@ class _Measure:
         before, slope = start, read(self.posed, start).slope
         for number, (stage, each) in enumerate(zip(stages, spent, strict=True), 1):
             step, image = jnp.asarray(stage.gradient_step), jnp.asarray(stage.image)
-            numbers, following = _numbers(self.posed.problem(image), before, slope, step, image, self.reference)
+            reading, numbers = read(self.posed, image), _numbers(before, slope, step, image, self.reference)
             said = {name: float(value) for name, value in numbers._asdict().items()}
-            misfit = max(2 * said["data"] / self.posed.weight, 0.0)
+            data, prior = float(reading.data), float(reading.prior)
+            misfit = max(2 * data / self.posed.weight, 0.0)
             measured.append(
                 StageMeasures(
                     number=number,
-                    objective=said["data"] + said["prior"],
+                    objective=data + prior,
+                    data=data,
+                    prior=prior,
                     own_objective=stage.own,
                     residual=math.sqrt(misfit) if math.isfinite(misfit) else math.nan,
                     **said,
@@ -200,7 +202,7 @@ class _Measure:
             )
             if number in shown:
                 pictures[number] = (np.asarray(stage.gradient_step), np.asarray(stage.image))
-            before, slope = image, following
+            before, slope = image, reading.slope
         return tuple(measured), pictures
 
     def _judged(self, image: Any, shown: bool) -> dict[str, float]:
@@ -210,44 +212,34 @@ class _Measure:
         scale = self.posed.moment.scale
         border = min(_BORDER, min(self.posed.moment.recording.height, self.posed.moment.recording.width) // 4) * scale
         if shown:
-            psnr, ssim = quality(self.truth, image, border)
-            return {"psnr": psnr, "ssim": ssim}
-        inner = slice(border, -border or None)
-        a, b = (np.clip(np.asarray(v)[inner, inner], 0, 1) for v in (self.truth, image))
-        error = float(np.mean((a - b) ** 2, dtype=np.float64))
-        return {"psnr": math.inf if error == 0 else -10 * math.log10(error), "ssim": math.nan}
+            return dict(zip(("psnr", "ssim"), quality(self.truth, image, border), strict=True))
+        return {"psnr": psnr(self.truth, image, border), "ssim": math.nan}
 
 
 class _Numbers(NamedTuple):
-    """f and λΨ; ‖X − X*‖/‖X*‖; ‖X − X^(t−1)‖/‖X^(t−1)‖; the cosines of R − X^(t−1) and X − X^(t−1) with the steepest
+    """‖X − X*‖/‖X*‖; ‖X − X^(t−1)‖/‖X^(t−1)‖; the cosines of R − X^(t−1) and X − X^(t−1) with the steepest
     descent at X^(t−1)."""
 
-    data: Float[Array, ""]
-    prior: Float[Array, ""]
     distance: Float[Array, ""]
     step: Float[Array, ""]
     gradient_step_cosine: Float[Array, ""]
     step_cosine: Float[Array, ""]
 
 
-@eqx.filter_jit
+@jax.jit
 def _numbers(
-    problem: Problem,
     before: Float[Array, "H W"],
     slope: Float[Array, "H W"],
     gradient_step: Float[Array, "H W"],
     image: Float[Array, "H W"],
     reference: Float[Array, "H W"],
-) -> tuple[_Numbers, Float[Array, "H W"]]:
-    data, following = problem.data.value_and_gradient(image)
+) -> _Numbers:
     return _Numbers(
-        data,
-        problem.strength * problem.prior.value(image),
         _norm(image - reference) / _norm(reference),
         _norm(image - before) / _norm(before),
         _cosine(gradient_step - before, -slope),
         _cosine(image - before, -slope),
-    ), following
+    )
 
 
 def _norm(image: Float[Array, "H W"]) -> Float[Array, ""]:

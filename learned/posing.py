@@ -19,12 +19,12 @@ from scipy.ndimage import distance_transform_edt
 
 from scsr_opt.camera.measuring import Intervals
 from scsr_opt.camera.recording import Recording
-from scsr_opt.inputs import bad_pixels_of, number, picture_shape, pixel_gain, whole
+from scsr_opt.inputs import picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.estimate import Estimator, estimate_motion
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
-from scsr_opt.placing import Stream, measured
+from scsr_opt.placing import Stream, measured, stream_around
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.reconstruction import FRAMES, first_picture
@@ -86,14 +86,7 @@ def moment(
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)
-    key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
-    start, stop = recording.around(key, FRAMES)
-    rate = recording.white_rate if white_rate is None else white_rate
-    rate = number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
-    bad = bad_pixels_of(recording, None)
-    stream = Stream(recording.window(start, stop), key - start, rate, bad)
-    if bad is not None:
-        stream.spikes[:, bad] = 0
+    key, stream = stream_around(recording, key=key, frames=FRAMES, white_rate=white_rate)
     return Moment(recording, scale, key, stream)
 
 
@@ -158,7 +151,7 @@ def pose(
     measuring = Intervals()
     placed = measured(stream, motion, scale=scale, measuring=measuring, gain=gains).placed
     if strength is not None:
-        λ = number(strength, "strength", lambda v: v >= 0, "of at least 0")
+        λ = prior_strength(strength)
     elif stream.spikes.any() and bool(jnp.any(placed.weight > 0)):
         λ = validated_strength(
             stream,

@@ -40,15 +40,12 @@ class Trainable(NamedTuple):
       Where there is a `preparation`, the example is what that made of it.
     - `picture(model, spikes, white_rate)`: the picture (s·h, s·w) of the key frame T // 2, intensity 1 = white. It may
       be compiled unless there is a `preparation`.
-    - `iterates(model, spikes, white_rate, start=None)`: R^(t) and X^(t) of all stages, an `Iterates`, from X^(0) =
-      `start` or the network's own; None for networks without stages.
     - `preparation`: None for networks that take the spikes themselves.
     """
 
     build: Callable[[PRNGKeyArray], Any]
     loss: Callable[[Any, Example], Float[Array, ""]]
     picture: Callable[[Any, UInt8[Array, "T h w"], Float[Array, ""]], Float[Array, "H W"]]
-    iterates: Callable[..., Any] | None = None
     preparation: Preparation | None = None
 
 
@@ -82,10 +79,7 @@ def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
     def picture(model: Any, spikes: UInt8[Array, "T h w"], white_rate: Float[Array, ""]) -> Float[Array, "H W"]:
         return model(spikes, spikes.shape[0] // 2, white_rate).images[-1]
 
-    def iterates(model: Any, spikes: Any, white_rate: Any, start: Any = None) -> Any:
-        return model(spikes, spikes.shape[0] // 2, white_rate, start)
-
-    return Trainable(lambda key: SpikeSRNet(config, key=key), loss, picture, iterates)
+    return Trainable(lambda key: SpikeSRNet(config, key=key), loss, picture)
 
 
 def _unrolled(scale: int, network: Mapping[str, Any]) -> Trainable:
@@ -144,13 +138,10 @@ def _on_inputs(
     def prepared_picture(model: Any, prepared: Any) -> Float[Array, "H W"]:
         return model(of_arrays(prepared)).images[-1]
 
-    def iterates(model: Any, spikes: Any, white_rate: Any, start: Any = None) -> Any:
-        return iterate(model, inputs(spikes, white_rate), start)
-
     def picture(model: Any, spikes: Any, white_rate: Any) -> Float[Array, "H W"]:
-        return iterates(model, spikes, white_rate).images[-1]
+        return iterate(model, inputs(spikes, white_rate)).images[-1]
 
-    return Trainable(build, loss, picture, iterates, Preparation(make, made_of, prepared_picture))
+    return Trainable(build, loss, picture, Preparation(make, made_of, prepared_picture))
 
 
 MODELS["spikesr"] = _spikesr

@@ -31,7 +31,7 @@ from scsr_opt.errors import InputError
 
 SIDE = 7
 # Negative slopes down to this share of the largest positive one, for the weakly convex prior.
-WEAKEST = 0.15
+WEAKEST = 0.1
 _PATCH, _BATCH, _BATCHES = 48, 8, 30
 _TASKS = ((1, True), (2, True), (2, False), (4, True), (4, False))
 _NOISE = (0.004, 0.03)

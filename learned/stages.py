@@ -1,7 +1,5 @@
 """The record of a network's stages, as a solver keeps it of its iterations: Eq. 4 at the network's own iterates."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +8,7 @@ from jaxtyping import Array, Float
 
 from learned.posing import Posed, read
 from learned.running import Run
+from scsr_opt.priors.patience import patient
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.solution import Stage
@@ -28,7 +27,7 @@ def stages_of(posed: Posed, found: Run, *, seconds: float, keep_images: bool) ->
     """
     stages = []
     before, slope = found.start, read(posed, found.start).slope
-    prior = _patient(posed.prior)
+    prior = patient(posed.prior, _PATIENT)
     for number, (step, image) in enumerate(zip(found.gradient_steps, found.images, strict=True), 1):
         reading = read(posed, image)
         stages.append(
@@ -46,11 +45,6 @@ def stages_of(posed: Posed, found: Run, *, seconds: float, keep_images: bool) ->
         )
         before, slope = image, reading.slope
     return tuple(stages)
-
-
-def _patient(prior: Prior) -> Prior:
-    known = {field.name for field in dataclasses.fields(prior)}
-    return dataclasses.replace(prior, iterations=_PATIENT) if "iterations" in known else prior
 
 
 @eqx.filter_jit

@@ -39,11 +39,19 @@ def validation_set(scale: int, frames: int, patch: int) -> list[tuple[str, Examp
 
 def quality(truth: Float[Any, "H W"], image: Float[Any, "H W"], border: int) -> tuple[float, float]:
     """PSNR in dB and structural similarity of intensities cut to 0..1, `border` pixels left out on each side."""
+    likeness: Any = structural_similarity(_inner(truth, border), _inner(image, border), data_range=1.0)
+    return psnr(truth, image, border), float(likeness)
+
+
+def psnr(truth: Float[Any, "H W"], image: Float[Any, "H W"], border: int) -> float:
+    """The first of `quality` alone, which takes a fraction of the time."""
+    error = float(np.mean((_inner(truth, border) - _inner(image, border)) ** 2))
+    return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def _inner(image: Float[Any, "H W"], border: int) -> Float[np.ndarray, "h w"]:
     inner = slice(border, -border or None)
-    a, b = (np.clip(np.asarray(v, np.float64)[inner, inner], 0, 1) for v in (truth, image))
-    error = float(np.mean((a - b) ** 2))
-    likeness: Any = structural_similarity(a, b, data_range=1.0)
-    return math.inf if error == 0 else -10 * math.log10(error), float(likeness)
+    return np.clip(np.asarray(image, np.float64)[inner, inner], 0, 1)
 
 
 def playback(example: Example, scale: int) -> Float[np.ndarray, "H W"]:

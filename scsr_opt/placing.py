@@ -1,16 +1,19 @@
 """From spikes and their motion to measurements that have a place on the picture."""
 
-from typing import NamedTuple
+from typing import NamedTuple, SupportsFloat, SupportsIndex
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
+from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
 from scsr_opt.camera.measuring import Measuring
+from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
+from scsr_opt.inputs import bad_pixels_of, number, whole
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.sampling import PlacedSamples, place
 
@@ -34,6 +37,32 @@ class Stream(NamedTuple):
     key: int
     white_rate: float
     bad_pixels: Bool[np.ndarray, "h w"] | None
+
+
+def stream_around(
+    recording: Recording,
+    *,
+    key: SupportsIndex | None,
+    frames: SupportsIndex,
+    white_rate: SupportsFloat | None,
+    bad_pixels: ArrayLike | None = None,
+) -> tuple[int, Stream]:
+    """The key frame, as a frame of the recording, and the frames around it.
+
+    **Arguments:** as of `scsr_opt.reconstruct`; None for the middle frame, for the recording's white rate, and for no
+    bad pixels but its own.
+
+    **Raises:** `InputError` if one of them cannot be used.
+    """
+    key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
+    start, stop = recording.around(key, whole(frames, "frames", 1))
+    rate = recording.white_rate if white_rate is None else white_rate
+    rate = number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
+    bad = bad_pixels_of(recording, bad_pixels)
+    stream = Stream(recording.window(start, stop), key - start, rate, bad)
+    if bad is not None:
+        stream.spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
+    return key, stream
 
 
 class Measurements(NamedTuple):
@@ -89,14 +118,16 @@ def measured(
     - `gain`: of each pixel; 1 if not given.
     """
     frames, height, width = stream.spikes.shape
+    path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
     with np.errstate(divide="ignore"):
-        still_for = np.clip(_MERGED_MOTION / (scale * motion.speed), 1, frames).astype(np.int32)
+        # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
+        still_for = np.clip(_MERGED_MOTION / (scale * path.fastest), 1, frames).astype(np.int32)
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
         jax.tree.map(jnp.asarray, padded),
-        trajectory_of(motion, key=stream.key, start=0, stop=frames),
+        path,
         scale=scale,
         positions=_positions(samples, motion, scale),
         shape=(scale * height, scale * width),

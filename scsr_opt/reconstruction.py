@@ -16,7 +16,7 @@ from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.inputs import bad_pixels_of, check_type, number, picture_shape, pixel_gain, prior_strength, whole
+from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.estimate import Estimator, estimate_motion, filled, given
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
@@ -24,7 +24,7 @@ from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
 from scsr_opt.operators.sampling import DataTerm
-from scsr_opt.placing import Measurements, Stream, measured
+from scsr_opt.placing import Measurements, Stream, measured, stream_around
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
@@ -111,22 +111,21 @@ def reconstruct(
     blind = isinstance(gain, str) and gain in ("auto", "blind")
     gains = None if gain is None or blind else pixel_gain(gain, height, width)
     rounds_of_motion = whole(refine, "refine", 0)
-    key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
-    start, stop = recording.around(key, whole(frames, "frames", 1))
-    rate = recording.white_rate if white_rate is None else white_rate
-    rate = number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
     if strength is not None:
         strength = prior_strength(strength)
     else:
         relative_strength(prior)  # one without is refused before anything is computed
-    bad = bad_pixels_of(recording, bad_pixels)
-    stream = Stream(recording.window(start, stop), key - start, rate, bad)
-    if bad is not None:
-        stream.spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
+    _, stream = stream_around(recording, key=key, frames=frames, white_rate=white_rate, bad_pixels=bad_pixels)
     clock.lap("reading")
 
     if velocity is None or isinstance(velocity, Estimator):
-        motion = estimate_motion(stream.spikes, key=stream.key, white_rate=rate, estimator=velocity, bad_pixels=bad)
+        motion = estimate_motion(
+            stream.spikes,
+            key=stream.key,
+            white_rate=stream.white_rate,
+            estimator=velocity,
+            bad_pixels=stream.bad_pixels,
+        )
     else:
         motion = given(velocity, height, width)
     clock.lap("motion")

@@ -2,7 +2,6 @@
 
 import re
 
-import jax
 import numpy as np
 import pytest
 from skimage import data
@@ -23,13 +22,7 @@ FRAMES, SCALE, KEY = 41, 2, 20
 VELOCITY = (0.11, -0.17)  # so fast that exposures are sampled at several positions, and corrected
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick_compilation():
-    """Pictures of 2,304 pixels: nearly all the time here is compilation."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def panning(**sensor: float) -> Simulation:

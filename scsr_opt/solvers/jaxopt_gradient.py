@@ -15,7 +15,6 @@ jaxopt is no longer maintained and says so when imported. It is imported when a 
 warning is silenced there and nowhere else.
 """
 
-import dataclasses
 import warnings
 from typing import Any, ClassVar, NamedTuple
 
@@ -25,8 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors.bounded import Bounded
-from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.patience import patient
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.stopping import FixedPoint, Stopping
@@ -95,10 +93,10 @@ class _Jaxopt(Solver[JaxoptState]):
             value, gradient = problem.data.value_and_gradient(image)
             return (value, gradient), gradient
 
-        patient = self._patient(problem.prior)
+        prior = patient(problem.prior, self.inner_iterations)
 
         def prox(image: Float[Array, "H W"], strength: Float[Array, ""], scale: Float[Array, ""]) -> Array:
-            return patient.prox(image, scale * strength, patient.initial_state(image))[0]
+            return prior.prox(image, scale * strength, prior.initial_state(image))[0]
 
         # A step size handed over as a number would have to be known while tracing; as a function it need not be.
         return jaxopt.ProximalGradient(
@@ -110,15 +108,6 @@ class _Jaxopt(Solver[JaxoptState]):
             acceleration=self._accelerated,
             implicit_diff=False,
         )
-
-    def _patient(self, prior: Prior) -> Prior:
-        """The prior with as many inner iterations as a step from a fresh state needs."""
-        if isinstance(prior, Bounded):
-            return dataclasses.replace(prior, prior=self._patient(prior.prior))
-        given = getattr(prior, "iterations", None)
-        if isinstance(given, int) and given < self.inner_iterations:
-            return dataclasses.replace(prior, iterations=self.inner_iterations)
-        return prior
 
 
 class JaxoptISTA(_Jaxopt):

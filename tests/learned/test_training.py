@@ -4,7 +4,6 @@ import json
 import os
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -147,14 +146,6 @@ def test_prepared_examples_that_cannot_be_used(tmp_path, made):
     (tmp_path / "b" / "examples" / "000008.npz").write_bytes(b"PK")
     with pytest.raises(InputError, match=r"000008\.npz is damaged or holds no prepared examples"):
         train(PREPARED, tmp_path / "b")
-
-
-@pytest.fixture
-def quick_compilation():
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
 
 
 def test_a_killed_run_of_the_unrolled_iteration_goes_on_to_the_same_result(tmp_path, monkeypatch, quick_compilation):

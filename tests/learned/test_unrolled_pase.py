@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 from skimage import data
 
@@ -32,13 +31,7 @@ TINY = UnrolledPASEConfig(
 )  # fmt: skip
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick_compilation():
-    """Pictures of a few hundred pixels: nearly all the time here is compilation."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 @pytest.fixture(scope="module")
@@ -126,20 +119,8 @@ def test_gradients_are_finite_and_reach_every_parameter(net: UnrolledPASE, input
     assert sum("encoder" in jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(slopes)) == 8
 
 
-def test_it_overfits_one_patch(net: UnrolledPASE, inputs: SpikeInputs, truth: jax.Array):
-    optimiser = optax.adam(1e-2)
-
-    @eqx.filter_jit
-    def step(net: UnrolledPASE, state: optax.OptState):
-        loss, slopes = loss_and_slopes(net, inputs, truth)
-        with jax.numpy_dtype_promotion("standard"):  # optax counts its steps in integers
-            updates, state = optimiser.update(slopes, state)
-        return eqx.apply_updates(net, updates), state, loss
-
-    state, losses = optimiser.init(eqx.filter(net, eqx.is_inexact_array)), []
-    for _ in range(100):
-        net, state, loss = step(net, state)
-        losses.append(float(loss))
+def test_it_overfits_one_patch(net: UnrolledPASE, inputs: SpikeInputs, truth: jax.Array, overfitted):
+    losses = overfitted(net, lambda net: loss_and_slopes(net, inputs, truth), 100)
     assert losses[-1] < 0.5 * losses[0]
 
 
@@ -168,12 +149,11 @@ def test_from_spikes(stream: Stream, motion: Motion):
     """As the trainer has it; at scale 1, and a recording that is too short."""
     sizes = {"stages": 1, "channels": 2, "blocks": 0, "moments": 3, "length": 5, "branches": [1], "encoder_channels": 2}
     task = trainable("unrolled_pase", 1, sizes)
-    iterates, model = task.iterates, task.build(jax.random.key(0))
-    assert iterates is not None
-    found = iterates(model, stream.spikes, 0.6)
-    assert found.images.shape == (1, *SENSOR) and np.all(np.isfinite(found.images))
-    np.testing.assert_array_equal(task.picture(model, jnp.asarray(stream.spikes), jnp.asarray(0.6)), found.images[-1])
+    model = task.build(jax.random.key(0))
+    spikes, rate = jnp.asarray(stream.spikes, jnp.uint8), jnp.asarray(0.6)
+    found = task.picture(model, spikes, rate)
+    assert found.shape == SENSOR and np.all(np.isfinite(found))
     with pytest.raises(InputError, match="has 4 frames and a spike block 5"):
-        iterates(model, stream.spikes[:4], 0.6)
+        task.picture(model, spikes[:4], rate)
     with pytest.raises(InputError, match="encoder_channels is 0"):
         dataclasses.replace(TINY, encoder_channels=0)

@@ -36,13 +36,7 @@ def double_precision():
         yield
 
 
-@pytest.fixture(autouse=True, scope="module")
-def quick_compilation():
-    """Pictures of a hundred pixels: nearly all the time here is compilation."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def random(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:

@@ -24,12 +24,8 @@ STRENGTH = 0.02
 
 
 @pytest.fixture(autouse=True, scope="module")
-def quick_compilation():
-    """A picture of 768 pixels: nearly all the time here is compilation."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
+def small_pictures(quick_compilation):
+    """Of 768 pixels, in all modules of this folder."""
 
 
 class Case(NamedTuple):

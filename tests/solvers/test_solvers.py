@@ -11,6 +11,7 @@ import pytest
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors import Bounded, TotalVariation
+from scsr_opt.priors.patience import patient
 from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Outcome, Problem, Result, lipschitz_bound, run
 from scsr_opt.solvers import iterate as loop
 
@@ -218,13 +219,12 @@ def test_inner_iterations_that_make_no_sense(name):
         SOLVERS[name](inner_iterations=0)
 
 
-def test_jaxopt_uses_more_inner_iterations_where_the_prior_has_few():
+def test_more_inner_iterations_where_a_prior_has_few():
     prior = TotalVariation(isotropic=False, iterations=3)
-    patient = JaxoptFISTA(inner_iterations=70)._patient(prior)
-    assert patient == TotalVariation(isotropic=False, iterations=70)
-    assert JaxoptFISTA(inner_iterations=2)._patient(prior) is prior
-    bounded = Bounded(prior, 0.1, None, rounds=3)
-    assert JaxoptFISTA(inner_iterations=70)._patient(bounded) == Bounded(patient, 0.1, None, rounds=3)
+    more = patient(prior, 70)
+    assert more == TotalVariation(isotropic=False, iterations=70)
+    assert patient(prior, 2) is prior
+    assert patient(Bounded(prior, 0.1, None, rounds=3), 70) == Bounded(more, 0.1, None, rounds=3)
 
 
 def test_a_state_of_another_solver_or_size_is_refused(case):

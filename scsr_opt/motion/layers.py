@@ -43,6 +43,8 @@ _PREFERENCE = 0.15
 _FASTEST = 1.5
 # One picture in so many votes on which layer is in front.
 _EVERY = 3
+# A part of a layer is given to one that makes up so much of the edge around it, if that mismatches by so little more.
+_AROUND, _UNDECIDED = 0.25, 0.15
 # What a pixel gains by agreeing with its neighbourhood, in the same units, and the neighbourhood's radius.
 _TOGETHER = 1.4
 _NEIGHBOURHOOD = 1.5
@@ -183,12 +185,39 @@ def _label(pictures: Stretches, motions: list[Motion], everywhere: Motion, noise
         sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
         # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
         costs.append(0.7 * sides.min(0) + 0.3 * sides.mean(0) + _ENOUGH * (motion.speed > fastest))
-    cost = np.stack(costs) + _PREFERENCE * np.arange(len(costs))[:, None, None]
+    mismatch = np.stack(costs)
+    cost = mismatch + _PREFERENCE * np.arange(len(costs))[:, None, None]
     label = cost.argmin(0)
     for _ in range(12):
         around = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(len(cost))]
         label = (cost - _TOGETHER * np.stack(around)).argmin(0)
-    return label
+    return _joined(label, mismatch)
+
+
+def _joined(label: Int[np.ndarray, "h w"], mismatch: Float[np.ndarray, "layers h w"]) -> Int[np.ndarray, "h w"]:
+    """Each part of a layer but its largest goes to a layer around it whose motion explains it as well.
+
+    A plain surface moves as well as it rests; what lies around says which.
+    """
+    joined = label.copy()
+    for k in range(len(mismatch)):
+        parts, number = cast(tuple[np.ndarray, int], ndimage.label(label == k))
+        if number < 2:
+            continue
+        largest = 1 + int(np.bincount(parts.ravel())[1:].argmax())
+        for part, box in enumerate(ndimage.find_objects(parts), 1):
+            if part == largest:
+                continue
+            box = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
+            member = parts[box] == part
+            edge = ndimage.binary_dilation(member) & ~member
+            around = np.bincount(label[box][edge], minlength=len(mismatch))
+            explained = mismatch[(slice(None), *box)][:, member].mean(1)
+            explained[around < _AROUND * edge.sum()] = np.inf
+            other = int(explained.argmin())
+            if explained[other] <= mismatch[k][box][member].mean() + _UNDECIDED:
+                joined[box][member] = other
+    return joined
 
 
 def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:

@@ -128,6 +128,22 @@ class Trajectory(eqx.Module):
         between = before + fraction[:, None] * (after - before)
         return between[:, 0], between[:, 1], between[:, 2]
 
+    @property
+    def fastest(self) -> Float[np.ndarray, "h w"]:
+        """How fast the key-frame position of what a pixel sees changes at most, sensor pixels per frame.
+
+        Large where one surface passes in front of another, as the position then jumps from the one to the other.
+        """
+        if self.position.shape[0] == 1:
+            return np.zeros(self.position.shape[2:], np.float32)
+        return np.asarray(_fastest(self.position))
+
+
+@jax.jit
+def _fastest(position: Float[Array, "n 2 h w"]) -> Float[Array, "h w"]:
+    steps = position[1:] - position[:-1]
+    return jnp.sqrt(jnp.max(jnp.sum(steps**2, axis=1), axis=0)) / SPACING
+
 
 # A point counts as part of a layer if, between pixel centres, this share of it is; from the second share on it counts
 # fully. In between, a sensor pixel sees two surfaces at once.

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from skimage import data
 
-from scsr_opt.camera import Sensor, simulate
+from scsr_opt.camera import Intervals, Sensor, simulate
 from scsr_opt.camera.scenes import Box, MovingObject
 from scsr_opt.motion import Automatic, Motion, estimate_motion, layers, trajectory_of
 from scsr_opt.motion.trajectory import SPACING, Layers
+from scsr_opt.placing import Stream, measured
 
 KEY, FRAMES = 40, 81
 SPEED = 0.25  # sensor pixels per frame, to the right
@@ -45,6 +46,36 @@ def test_what_is_behind_is_hidden_by_what_is_in_front():
     # The background that the key frame shows right of the square stays in view; the square slides under it.
     np.testing.assert_allclose(position[1, 12:18, 26:29], np.arange(26, 29)[None] + np.zeros((6, 1)), atol=1e-4)
     assert (visible[12:18, 26:29] == 1).all()
+
+
+def test_intervals_of_a_pixel_that_something_passes_are_not_merged():
+    """At rest in the key frame, but hidden at other times: one merged interval would mix what hides it into it."""
+    motion = before_a_background((0, 1))
+    fastest = trajectory_of(motion, key=KEY, start=0, stop=FRAMES).fastest
+    np.testing.assert_allclose(fastest[12:18, 17:23], SPEED, rtol=1e-3)
+    assert (fastest[12:18, 27:33] > SPEED).all()  # the square arrives here within 40 frames: the position jumps
+    assert not fastest[:8].any() and not fastest[:, 37:].any()
+    spikes = np.zeros((FRAMES, 30, 40), np.uint8)
+    spikes[::4] = 1
+    stream = Stream(spikes, KEY, 0.6, None)
+    samples = measured(stream, motion, scale=2, measuring=Intervals(ends=0.0)).samples
+    number = np.bincount(samples.row * 40 + samples.column, minlength=1200).reshape(30, 40)
+    assert (number[12:18, 27:33] > 10).all()
+    assert (number[:8] == 1).all()
+
+
+def test_a_plain_part_moves_with_what_surrounds_it():
+    mismatch = np.ones((2, 30, 40), np.float32)
+    mismatch[0, 8:22, 8:32] = 4.0  # the background's motion is wrong here ...
+    mismatch[1, :8] = mismatch[1, 22:] = mismatch[1, :, :8] = mismatch[1, :, 32:] = 4.0  # ... the layer's here
+    mismatch[:, 12:18, 14:26] = 1.0  # plain: any motion will do
+    label = np.zeros((30, 40), np.int32)
+    label[8:22, 8:32] = 1
+    hole = label.copy()
+    hole[12:18, 14:26] = 0
+    np.testing.assert_array_equal(layers._joined(hole, mismatch), label)
+    mismatch[1, 12:18, 14:26] = 2.0  # not plain: at rest behind a hole of what moves
+    np.testing.assert_array_equal(layers._joined(hole, mismatch), hole)
 
 
 def test_each_pixel_of_the_key_frame_sees_itself_then():

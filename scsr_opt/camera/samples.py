@@ -28,6 +28,9 @@ from scsr_opt.errors import InputError
 ENDS = 0.1
 """Weight of the time before a pixel's first and after its last spike, beside that of as long an interval (measured)."""
 
+# Intervals of one frame that follow one another are merged up to so many frames.
+_RUN = 4
+
 
 class Samples(eqx.Module):
     """Intensity measurements, one entry a sample, in no particular order.
@@ -82,7 +85,8 @@ def spike_intervals(
 
     Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in
     each block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing
-    moves during `shortest` frames, and leaves fewer samples to handle.
+    moves during `shortest` frames, and leaves fewer samples to handle. So does merging intervals of one frame that
+    follow one another, up to four: the pixel is saturated, and each says the same.
 
     **Arguments:**
     - `spikes`: (T, h, w), 0 or 1.
@@ -105,11 +109,17 @@ def spike_intervals(
     where = np.flatnonzero(by_pixel)  # ordered by pixel, then by time
     pixel, time = where // frames, where % frames
     order = np.arange(where.size)
+    # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
+    every_frame = np.zeros(where.size + 1, bool)
+    every_frame[1:-1] = (time[1:] - time[:-1] == 1) & (pixel[1:] == pixel[:-1])
+    within = every_frame[1:] & every_frame[:-1] & (time % _RUN != 0)
+    pixel, time, order = pixel[~within], time[~within], order[~within]
     if np.any(np.asarray(shortest) > 1):
+        number = time.size
         block = time // np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)[pixel]
-        last = np.empty(where.size, bool)  # the last spike of a pixel ends its last interval, however short
-        is_end = np.empty(where.size, bool)
-        if where.size:
+        last = np.empty(number, bool)  # the last spike of a pixel ends its last interval, however short
+        is_end = np.empty(number, bool)
+        if number:
             is_end[0] = last[-1] = True
             is_end[1:] = (block[1:] != block[:-1]) | (pixel[1:] != pixel[:-1])
             last[:-1] = pixel[1:] != pixel[:-1]

@@ -31,6 +31,11 @@ class Stretches(NamedTuple):
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
 
+    def part(self, rows: slice, columns: slice) -> "Stretches":
+        """The pictures of a part of the sensor."""
+        firing = None if self.firing is None else self.firing[rows, columns]
+        return Stretches(self.picture[:, rows, columns], self.after, firing)
+
 
 def stretches(
     spikes: Shaped[np.ndarray, "T h w"], *, key: int, white_rate: float | int = 0.6, most: int = 25

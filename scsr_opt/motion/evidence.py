@@ -1,5 +1,7 @@
 """Does the recording contradict a motion? A test on statistics, for each pixel's surroundings."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +26,7 @@ _SMEAR = 2.0
 
 def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where the recording contradicts `motion`, see above."""
-    evidence, drifted = _evidence(
+    evidence, drifted, _ = _evidence(
         presmoothed(pictures, 1.0), jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(_WINDOW)
     )
     against = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
@@ -32,6 +34,13 @@ def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]
         return against
     firing = np.asarray(smooth(pictures.firing, jnp.asarray(_WINDOW)))
     return against & (motion.speed <= _SMEAR * firing)
+
+
+def resting(pictures: Stretches) -> Bool[np.ndarray, "h w"]:
+    """Where it is certain that nothing moves: any motion by half a pixel over the recording would contradict rest."""
+    none = jnp.zeros((2, *pictures.picture.shape[1:]), jnp.float32)
+    evidence, drifted, least = _evidence(presmoothed(pictures, 1.0), none, none, jnp.asarray(_WINDOW))
+    return np.asarray((evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION))
 
 
 def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:
@@ -60,14 +69,28 @@ _MISSED = 6.0
 _EVERY = 3
 
 
-def missed(
-    pictures: Stretches, motion: Motion, noise: float
-) -> tuple[Float[np.ndarray, "n h w"], Float[np.ndarray, "n h w"]]:
-    """How well a motion predicts pictures from those near the key frame.
+class Missed(NamedTuple):
+    """How well a motion predicts pictures from those near the key frame, for every third picture.
 
-    **Returns:** the squared error in units of `noise`, cut off, and how far the motion says that what a pixel shows is
-    visible in the key frame; for every third picture.
+    **Fields:** `error` (n, h, w), squared, in units of the noise, cut off; `seen` (n, h, w), how far the motion says
+    that what a pixel shows is visible in the key frame.
     """
+
+    error: Float[np.ndarray, "n h w"]
+    seen: Float[np.ndarray, "n h w"]
+
+    def part(self, rows: slice, columns: slice) -> "Missed":
+        """On a part of the sensor."""
+        return Missed(self.error[:, rows, columns], self.seen[:, rows, columns])
+
+    @property
+    def mean(self) -> float:
+        """How badly the motion predicts the pictures; what it says is hidden counts as missed."""
+        return float(np.mean(self.seen * self.error + (1 - self.seen) * _MISSED))
+
+
+def missed(pictures: Stretches, motion: Motion, noise: float) -> Missed:
+    """What a motion misses of the pictures; `noise`: their typical variance along a good motion."""
     smoothed = presmoothed(pictures, 1.0)
     after = np.asarray(smoothed.after)
     near = (jnp.abs(smoothed.after) <= max(_NEAR, float(np.abs(after).min()))).astype(jnp.float32)
@@ -75,13 +98,7 @@ def missed(
     present = drift(smoothed.picture, smoothed.after, near, velocity, acceleration).mean
     position, visible = seen_at(motion, smoothed.after[::_EVERY])
     error, visible = _missed(smoothed.picture[::_EVERY], position, visible, present, jnp.asarray(noise, jnp.float32))
-    return np.asarray(error), np.asarray(visible)
-
-
-def mispredicted(pictures: Stretches, motion: Motion, noise: float) -> float:
-    """How badly a motion predicts the pictures (`missed`, mean); what it says is hidden counts as missed."""
-    error, seen = missed(pictures, motion, noise)
-    return float(np.mean(seen * error + (1 - seen) * _MISSED))
+    return Missed(np.asarray(error), np.asarray(visible))
 
 
 @jax.jit
@@ -110,8 +127,9 @@ def _evidence(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"],
     window: Float[Array, ""],
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """Score test of each window's velocity: twice the gain in log-likelihood of the best one, and how far that goes."""
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
+    """Score test of each window's velocity: twice the gain in log-likelihood of the best one, how far that goes, and
+    what the gain would be, at least, if the best one went half a pixel elsewhere."""
     now = drift(pictures.picture, pictures.after, jnp.ones_like(pictures.after), velocity, acceleration)
     noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
     samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
@@ -122,4 +140,5 @@ def _evidence(
     a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
     update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
     longest = jnp.max(jnp.abs(pictures.after))
-    return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest
+    poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
+    return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest, poorest * (_DRIFT / longest) ** 2

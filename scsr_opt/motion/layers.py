@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
 from scsr_opt.motion.alignment import Stretches, drift, presmoothed
-from scsr_opt.motion.evidence import contradicted, mispredicted, typical_noise, variance_along
+from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
 
@@ -50,35 +50,44 @@ _TOGETHER = 1.4
 _NEIGHBOURHOOD = 1.5
 
 
-def layered(pictures: Stretches, background: Motion, everywhere: Motion) -> Motion:
+def layered(
+    pictures: Stretches, background: Motion, everywhere: Motion, moving: Bool[np.ndarray, "h w"], total: int
+) -> list[Motion]:
     """The scene as layers: `background`, further affine motions where that is contradicted, and the dense estimate
     `everywhere` where these do not explain enough.
 
-    **Returns:** a motion with `layers`; `background` if nothing else was found.
+    **Arguments:** `moving`: where `background` is contradicted; `total`: sensor pixels, of which the pictures may be a
+    part: what lies outside is background.
+
+    **Returns:** motions with `layers` to choose from, or `background` alone if nothing else was found. Along the edges
+    of something that moves, the dense estimate takes what it uncovers for another surface; so there is one without it.
     """
-    motions = _find(pictures, background, everywhere)
-    found = _layers(pictures, motions, everywhere)
-    if len(motions) < 3 or motions[-1] is not everywhere:
-        return found
-    # Along the edges of something that moves, the dense estimate takes what it uncovers for another surface.
-    without = _layers(pictures, motions[:-1], everywhere)
-    noise = typical_noise(pictures, everywhere)
-    return min(without, found, key=lambda motion: mispredicted(pictures, motion, noise))
-
-
-def _layers(pictures: Stretches, motions: list[Motion], everywhere: Motion) -> Motion:
-    """Layers with these motions, `everywhere` for the noise and confidence; a single motion if one is left of them."""
-    background = motions[0]
+    # What is too fast to be heard against is not heard for either.
+    fastest = _FASTEST * _top_speed(everywhere, moving)
+    motions = _find(pictures, background, everywhere, moving, fastest, total)
     noise = typical_noise(pictures, everywhere, _SHARPNESS)
+    sharp = presmoothed(pictures, _SHARPNESS)
+    mismatches = [_mismatch(sharp, motion, noise) + _ENOUGH * (motion.speed > fastest) for motion in motions]
+    found = [_layers(pictures, motions, mismatches, everywhere)]
+    if len(motions) > 2 and motions[-1] is everywhere:
+        found.insert(0, _layers(pictures, motions[:-1], mismatches[:-1], everywhere))
+    return found
+
+
+def _layers(
+    pictures: Stretches, motions: list[Motion], mismatches: list[Float[np.ndarray, "h w"]], everywhere: Motion
+) -> Motion:
+    """Layers with these motions, `everywhere` for the confidence; a single motion if one is left of them."""
+    background = motions[0]
     while True:  # a layer that nearly no pixel wants goes, and its pixels choose again
         if len(motions) == 1:
             return motions[0]
-        label = _label(pictures, motions, everywhere, noise)
+        label = _label(mismatches)
         sizes = np.bincount(label.ravel(), minlength=len(motions))
-        kept = [motion for motion, size in zip(motions, sizes, strict=True) if size >= _FEWEST_PIXELS]
-        if len(kept) == len(motions):
+        if sizes.min() >= _FEWEST_PIXELS:
             break
-        motions = kept or [background]
+        kept = np.flatnonzero(sizes >= _FEWEST_PIXELS) if sizes.max() >= _FEWEST_PIXELS else [0]
+        motions, mismatches = [motions[k] for k in kept], [mismatches[k] for k in kept]
     motions = [
         motion if motion is background or motion is everywhere else _sharpened(pictures, motion, np.asarray(label == k))
         for k, motion in enumerate(motions)
@@ -93,13 +102,17 @@ def _layers(pictures: Stretches, motions: list[Motion], everywhere: Motion) -> M
     return Motion.of_layers(layers, everywhere.confidence)
 
 
-def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[Motion]:
+def _find(
+    pictures: Stretches,
+    background: Motion,
+    everywhere: Motion,
+    moving: Bool[np.ndarray, "h w"],
+    fastest: float,
+    total: int,
+) -> list[Motion]:
     """The candidates: the largest region that contradicts all so far is given a motion of its own, again and again."""
     motions = [background]
-    moving = contradicted(pictures, background)
     left = unexplained = moving
-    # What is too fast to be heard against is not heard for either.
-    fastest = _FASTEST * _top_speed(everywhere, moving)
     for _ in range(_MOST):
         regions, number = cast(tuple[np.ndarray, int], ndimage.label(ndimage.binary_opening(left)))
         if number == 0:
@@ -118,7 +131,7 @@ def _find(pictures: Stretches, background: Motion, everywhere: Motion) -> list[M
             motions.append(fits[best])
             left, unexplained = left & ~explained, unexplained & wrong[best]
         left = left & ~region
-    if len(motions) == 1 or unexplained.mean() > 0.01:
+    if len(motions) == 1 or unexplained.sum() > 0.01 * total:
         motions.append(everywhere)
     return motions
 
@@ -175,18 +188,10 @@ def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h 
     return found if after < before else motion
 
 
-def _label(pictures: Stretches, motions: list[Motion], everywhere: Motion, noise: float) -> Int[np.ndarray, "h w"]:
+def _label(mismatches: list[Float[np.ndarray, "h w"]]) -> Int[np.ndarray, "h w"]:
     """The layer of each key-frame pixel: least mismatch, together with its neighbours (iterated conditional modes)."""
-    sharp = presmoothed(pictures, _SHARPNESS)
-    costs = []
-    fastest = _FASTEST * _top_speed(everywhere, contradicted(pictures, motions[0]))
-    for motion in motions:
-        sides = _mismatch(sharp, jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(noise))
-        sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
-        # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
-        costs.append(0.7 * sides.min(0) + 0.3 * sides.mean(0) + _ENOUGH * (motion.speed > fastest))
-    mismatch = np.stack(costs)
-    cost = mismatch + _PREFERENCE * np.arange(len(costs))[:, None, None]
+    mismatch = np.stack(mismatches)
+    cost = mismatch + _PREFERENCE * np.arange(len(mismatch))[:, None, None]
     label = cost.argmin(0)
     for _ in range(12):
         around = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(len(cost))]
@@ -225,8 +230,16 @@ def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:
     return float(np.quantile(motion.speed[moving], 0.95)) if moving.any() else np.inf
 
 
+def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
+    """How far the pictures along a motion differ from their mean near the key frame, in units of `noise`."""
+    sides = _sides(sharp, jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(noise))
+    sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
+    # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
+    return 0.7 * sides.min(0) + 0.3 * sides.mean(0)
+
+
 @jax.jit
-def _mismatch(
+def _sides(
     pictures: Stretches, velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], noise: Float[Array, ""]
 ) -> Float[Array, "2 h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, before it and after it.

@@ -32,6 +32,28 @@ class Layers(eqx.Module):
     label: Int[np.ndarray, "h w"]
     depth: Int[np.ndarray, " layers"]
 
+    def within(self, background: "Motion", rows: slice, columns: slice) -> "Layers":
+        """These layers on these rows and columns of the sensor, and one with the motion of `background` around them:
+        behind all others, or where it is among them, if one of them has that motion."""
+        here = background.velocity[..., rows, columns]
+        same = [k for k, velocity in enumerate(self.velocity) if np.array_equal(velocity, here)]
+        ground = same[0] if same else len(self.velocity)
+        height, width = background.velocity.shape[1:]
+        sides = [side.indices(length)[:2] for side, length in zip((rows, columns), (height, width), strict=True)]
+        beyond = [(begin, length - end) for (begin, end), length in zip(sides, (height, width), strict=True)]
+
+        def continued(fields: np.ndarray, around: np.ndarray) -> np.ndarray:
+            wide = np.pad(fields, ((0, 0), (0, 0), *beyond), mode="edge")
+            return np.concatenate([wide[:ground], around[None], wide[ground + 1 :]])
+
+        label = np.full((height, width), ground, np.int32)
+        label[rows, columns] = self.label
+        depth = self.depth if same else np.append(self.depth, self.depth.min() - 1).astype(np.int32)
+        return Layers(
+            continued(self.velocity, background.velocity), continued(self.acceleration, background.acceleration),
+            label, depth,
+        )  # fmt: skip
+
 
 class Trust(eqx.Module):
     """How much a sample is worth that was taken at a given time, following the motion, of what it would be worth if
@@ -88,6 +110,23 @@ class Motion(eqx.Module):
     def part(self, rows: slice, columns: slice) -> "Motion":
         """The motion of a part of the picture."""
         return jax.tree.map(lambda field: field[..., rows, columns] if field.ndim > 1 else field, self)
+
+    def within(self, background: "Motion", rows: slice, columns: slice) -> "Motion":
+        """This motion on these rows and columns of the sensor, and `background`, one smooth motion, around them."""
+        if self.velocity.shape == background.velocity.shape:
+            return self
+
+        def inserted(field: np.ndarray, around: np.ndarray) -> np.ndarray:
+            whole = np.array(around)
+            whole[..., rows, columns] = field
+            return whole
+
+        return Motion(
+            inserted(self.velocity, background.velocity),
+            inserted(self.acceleration, background.acceleration),
+            inserted(self.confidence, background.confidence),
+            None if self.layers is None else self.layers.within(background, rows, columns),
+        )
 
     @property
     def speed(self) -> Float[np.ndarray, "h w"]:

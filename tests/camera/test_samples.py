@@ -23,7 +23,9 @@ def expected(spikes: np.ndarray, shortest: np.ndarray, first_frame: int) -> list
     for row, column in np.ndindex(spikes.shape[1:]):
         times = [t for t in range(len(spikes)) if spikes[t, row, column]]
         length = int(shortest[row, column])
-        ends = [t for i, t in enumerate(times) if i == 0 or t // length != times[i - 1] // length]
+        # Inside a run of spikes in frame after frame only every fourth frame is kept.
+        kept = [t for t in times if t % 4 == 0 or not {t - 1, t + 1} <= set(times)]
+        ends = [t for i, t in enumerate(kept) if i == 0 or t // length != kept[i - 1] // length]
         if times and ends[-1] != times[-1]:
             ends.append(times[-1])
         for a, b in zip(ends[:-1], ends[1:], strict=True):

@@ -90,15 +90,16 @@ def test_layers_that_nearly_no_pixel_wants_go_one_after_another(monkeypatch, pic
     shape = shown.picture.shape[1:]
     motions = [Motion.of_velocity(np.full((2, *shape), speed / 10, np.float32)) for speed in range(4)]
 
-    def label(pictures, motions, everywhere, noise):
+    def label(mismatches):
         chosen = np.zeros(shape, np.int32)
-        for k in range(1, len(motions)):
+        for k in range(1, len(mismatches)):
             chosen[9 * k : 9 * k + 9, :9] = k
-        chosen[chosen == len(motions) - 1] = 0
+        chosen[chosen == len(mismatches) - 1] = 0
         return chosen
 
     monkeypatch.setattr(layers, "_label", label)
-    assert layers._layers(shown, motions, motions[0]) is motions[0]
+    mismatches = [np.zeros(shape, np.float32)] * len(motions)
+    assert layers._layers(shown, motions, mismatches, motions[0]) is motions[0]
 
 
 @pytest.mark.parametrize("speed", [(0.0, 0.2), (-0.15, 0.1)])

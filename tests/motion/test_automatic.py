@@ -1,0 +1,87 @@
+"""What `Automatic` leaves out where a scene does not need it, and that the motion found is the same."""
+
+import numpy as np
+import pytest
+from skimage import color, data
+
+from scsr_opt.camera.scenes import Box, MovingObject
+from scsr_opt.camera.simulator import Simulation, simulate
+from scsr_opt.motion import Automatic, Motion, estimate, trajectory_of
+from scsr_opt.motion.alignment import Stretches, stretches
+from scsr_opt.motion.trajectory import Layers
+
+SCALE, KEY = 2, 50
+SPEED = (0.1, 0.2)  # sensor pixels per frame
+SHAPE = (140, 160)  # sensor pixels
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[Simulation, Stretches]:
+    """An object of 30 sensor pixels a side in the middle of a still wall."""
+    wall = data.gravel()[40 : 40 + SCALE * SHAPE[0], 40 : 40 + SCALE * SHAPE[1]] / 255
+    texture = color.rgb2gray(data.coffee())[100:200, 100:200]
+    scene = MovingObject(wall, texture, (SCALE * SPEED[0], SCALE * SPEED[1]), shape=Box(30.0, 30.0))
+    made = simulate(scene, scale=SCALE, seed=2)
+    return made, stretches(made.spikes, key=KEY)
+
+
+def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, monkeypatch):
+    made, pictures = small
+    looked_at = []
+    dense = estimate.dense
+
+    def watched(part, *, start):
+        looked_at.append(part.picture.shape[1:])
+        return dense(part, start=start)
+
+    monkeypatch.setattr(estimate, "dense", watched)
+    found = Automatic()(pictures)
+    monkeypatch.setattr(estimate, "together", lambda pictures: pytest.fail("one motion for all was fitted"))
+    assert Automatic()(pictures).velocity.shape == (2, *SHAPE)
+    monkeypatch.undo()
+    assert np.prod(looked_at[0]) < 0.7 * np.prod(SHAPE)
+
+    everything = Automatic(skip=False)(pictures)
+    assert found.layers is not None and everything.layers is not None
+    label, other = found.layers.label, everything.layers.label
+    assert (label != other).mean() < 0.002
+    same = label == other
+    # The fits see other pixels and end where steps are below 0.002 px over the recording.
+    assert np.abs(found.velocity - everything.velocity)[:, same].max() < 1e-3
+    front = made.scene.surface(float(KEY))[::SCALE, ::SCALE] > 0
+    np.testing.assert_allclose(np.median(found.velocity[:, front], axis=1), SPEED, atol=0.003)
+    assert not found.velocity[:, label == 0].any()
+
+
+def test_no_affine_motion_explains_what_moves_between_pixels_at_rest():
+    rows, columns = np.mgrid[0:100, 0:120]
+    inside = np.hypot(rows - 50, columns - 60)
+    # A turn about the middle: at rest there, and the faster the farther out.
+    assert not estimate._apart_from_rest(inside < 20, inside > 40)
+    assert estimate._apart_from_rest(inside > 40, inside < 20)
+    assert estimate._apart_from_rest(columns < 60, (columns > 70) & (columns < 85))
+    assert not estimate._apart_from_rest(np.zeros((100, 120), bool), inside > 40)
+    assert not estimate._apart_from_rest(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_layers_of_a_part_are_continued_with_the_background(kept):
+    """`kept`: whether the background is among the layers of the part."""
+    box = (slice(10, 30), slice(5, 35))
+    background = Motion.of_velocity(np.full((2, 40, 50), 0.1, np.float32))
+    velocity = np.stack([np.full((2, 20, 30), v, np.float32) for v in (0.1 if kept else 0.3, 0.5)])
+    label = np.zeros((20, 30), np.int32)
+    label[5:15, 10:20] = 1
+    inner = Layers(velocity, np.zeros_like(velocity), label, np.array([0, 1], np.int32))
+    whole = Motion.of_layers(inner, np.full((20, 30), 0.5, np.float32)).within(background, *box)
+    assert whole.layers is not None
+    np.testing.assert_array_equal(whole.velocity[:, *box], np.take_along_axis(velocity, label[None, None], 0)[0])
+    outside = np.ones((40, 50), bool)
+    outside[box] = False
+    assert (whole.velocity[:, outside] == np.float32(0.1)).all() and (whole.confidence[outside] == 1).all()
+    assert len(whole.layers.depth) == (2 if kept else 3)
+    behind = whole.layers.depth[whole.layers.label[0, 0]]
+    assert (behind <= whole.layers.depth).all() and (whole.layers.label[outside] == whole.layers.label[0, 0]).all()
+    # At the key frame each pixel sees itself.
+    path = trajectory_of(whole, key=8, start=8, stop=9)
+    np.testing.assert_allclose(path.position[0], np.mgrid[0:40, 0:50], atol=1e-5)

@@ -21,6 +21,7 @@ from scsr_opt.cli.options import say_error
 from scsr_opt.cli.play import play
 from scsr_opt.cli.simulate import simulate
 from scsr_opt.cli.solve import solve
+from scsr_opt.cli.stress import stress
 from scsr_opt.cli.train import train
 from scsr_opt.errors import InputError
 
@@ -42,7 +43,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, baseline, demo, train, compare):
+for _command in (info, simulate, play, solve, baseline, demo, train, compare, stress):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 

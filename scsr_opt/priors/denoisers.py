@@ -34,11 +34,30 @@ class NumpyDenoiser(eqx.Module):
     function: Callable[[np.ndarray, float], np.ndarray] = eqx.field(static=True)
 
     def __call__(self, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
-        def on_host(image: Array, sigma: Array) -> np.ndarray:
-            return np.asarray(self.function(np.asarray(image), float(sigma)), dtype=image.dtype)
+        def on_host(words: Array, of_sigma: Array) -> np.ndarray:
+            picture, level = _numbers(words, image.dtype), _numbers(of_sigma, sigma.dtype)
+            result = np.ascontiguousarray(self.function(picture, float(level)), dtype=image.dtype)
+            return result[..., None].view(np.uint32) if result.dtype == np.float64 else result
 
-        like = jax.ShapeDtypeStruct(image.shape, image.dtype)
-        return jax.pure_callback(on_host, like, image, sigma, vmap_method="sequential")
+        words = _words(image)
+        like = jax.ShapeDtypeStruct(words.shape, words.dtype)
+        denoised = jax.pure_callback(on_host, like, words, _words(sigma), vmap_method="sequential")
+        return jax.lax.bitcast_convert_type(denoised, image.dtype)
+
+
+def _words(numbers: Array) -> Array:
+    """Float64 as words of 32 bits, two for each number, and all else as it is.
+
+    A call-back may have a thread of its own, where `jax.enable_x64` as a context does not hold, and JAX makes float32
+    of float64 that goes in or out there. Of words it makes nothing else.
+    """
+    return jax.lax.bitcast_convert_type(numbers, np.uint32) if numbers.dtype == np.float64 else numbers
+
+
+def _numbers(words: Array, dtype: np.dtype) -> np.ndarray:
+    """What `_words` were made of."""
+    array = np.ascontiguousarray(words)
+    return array.view(dtype)[..., 0] if dtype == np.float64 else array.reshape(words.shape)
 
 
 @functools.cache

@@ -27,7 +27,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
-from scsr_opt.solvers.stopping import FixedPoint, Stopping
+from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative
 
 
 class JaxoptState(NamedTuple):
@@ -70,8 +70,7 @@ class _Jaxopt(Solver[JaxoptState]):
         ahead = state.inner.velocity if self._accelerated else state.image
         image, inner = self._method(problem, β).update(state.image, state.inner, problem.strength)
         inner = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), inner, state.inner)
-        size = jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny)
-        residual = jnp.linalg.norm(image - ahead) / size
+        residual = relative(jnp.linalg.norm(image - ahead), image)
         value, prior = problem.data.value(image), problem.strength * problem.prior.value(image)
         return JaxoptState(image, ahead - β * inner.aux, inner, β), Record(
             value, prior, residual, jnp.full_like(residual, jnp.nan), β

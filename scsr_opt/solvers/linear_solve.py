@@ -59,4 +59,7 @@ class JaxoptConjugateGradients(LinearSolve):
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "JAXopt is no longer maintained", DeprecationWarning)
             from jaxopt.linear_solve import solve_cg
-        return jax.lax.stop_gradient(solve_cg(normal, wanted, maxiter=self.steps, tol=self.tolerance))
+        # It divides by squares. Those of a nearly black picture would be lost, and 0/0 come of them.
+        largest = jnp.max(jnp.abs(wanted))
+        unit = jnp.where(largest > 0, largest, 1)
+        return jax.lax.stop_gradient(unit * solve_cg(normal, wanted / unit, maxiter=self.steps, tol=self.tolerance))

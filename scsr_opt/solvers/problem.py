@@ -30,4 +30,5 @@ def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
     """
     # norm_bound works on A*A and returns ‖A‖; handing it the normal operator N (symmetric) bounds ‖N‖ itself.
     bound = norm_bound(data.normal, data.shape, iterations=2, dtype=data.target.dtype)
-    return jnp.maximum(bound, jnp.finfo(data.target.dtype).tiny)
+    # Where no sample counts, f is constant, and every number is a bound. Of a tiny one the step would be 1e38 long.
+    return jnp.where(bound < jnp.finfo(data.target.dtype).tiny, 1, bound)

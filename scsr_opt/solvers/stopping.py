@@ -119,5 +119,6 @@ def misfit(prior: Analysis, field: Any, dual: Any) -> tuple[Float[Array, ""], Fl
 
 
 def relative(change: Float[Array, ""], image: Float[Array, "H W"]) -> Float[Array, ""]:
-    """change / ‖image‖."""
-    return change / jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny)
+    """change / ‖image‖, a number for a black picture, too: one that is less than the root of the smallest number, whose
+    square is lost, counts as that root."""
+    return change / jnp.maximum(jnp.linalg.norm(image), jnp.finfo(image.dtype).tiny ** 0.5)

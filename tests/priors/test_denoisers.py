@@ -105,6 +105,26 @@ def test_called_back_from_a_loop_and_for_several_pictures(oracle):
     np.testing.assert_allclose(both, jnp.stack([f / 2, f]), rtol=1e-6)
 
 
+def test_called_back_in_the_precision_of_the_picture(double, oracle):
+    """The call-back has a thread of its own, which knows nothing of the context that made the picture float64.
+
+    It has one where a program's input is still being computed: here a product of matrices, some ten milliseconds.
+    """
+    prior = PlugAndPlay(NumpyDenoiser(lambda image, sigma: image * sigma))
+    f = jnp.asarray(oracle.picture(SHAPE))
+
+    @jax.jit
+    def twice(image, late):
+        return jax.lax.fori_loop(0, 2, lambda _, x: prior.prox(x, jnp.asarray(0.1), None)[0], image + 0 * late)
+
+    ones = jnp.ones((1000, 1000))
+    product = jax.jit(lambda m: (m @ m @ m)[0, 0])
+    twice(f, product(ones)).block_until_ready()  # compiles, which takes longer than the product
+    result = twice(f, product(ones))
+    assert result.dtype == f.dtype == jnp.float64
+    np.testing.assert_allclose(result, f * 0.1, rtol=1e-15)
+
+
 def test_arrays_of_a_denoiser_may_change_without_compiling(oracle):
     f, traces = jnp.asarray(oracle.picture(SHAPE).astype(np.float32)), []
 

@@ -95,6 +95,20 @@ def test_the_start_has_no_influence():
     np.testing.assert_array_equal(gradient(jnp.full(SHAPE, 0.5)), 0)
 
 
+def test_without_samples_derivatives_are_finite():
+    """All pixels bad: f is 0, and the picture is what the prior makes of its start."""
+    base = problem(TotalVariation())
+    start = jnp.asarray(np.random.default_rng(6).normal(size=SHAPE))
+    nothing = eqx.tree_at(lambda p: p.data.stencil.planes, base, jnp.zeros_like(base.data.stencil.planes))
+
+    def loss(strength, target):
+        image = solution(changed(nothing, strength, target), start, iterations=100, adjoint_iterations=100)
+        return jnp.sum(start * image)
+
+    for derivative in jax.grad(loss, argnums=(0, 1))(base.strength, jnp.zeros(SHAPE)):
+        assert np.isfinite(derivative).all()
+
+
 def test_what_it_cannot_differentiate_is_refused():
     with pytest.raises(InputError, match="PlugAndPlay; it needs an Analysis prior"):
         solution(problem(PlugAndPlay(lambda image, σ: image)), jnp.zeros(SHAPE))

@@ -165,6 +165,14 @@ def test_conjugate_gradients_solve_a_system():
     np.testing.assert_allclose(one, along * wanted, rtol=1e-6)
 
 
+def test_jaxopt_s_conjugate_gradients_of_next_to_nothing():
+    """Whose squares float32 cannot hold: a black recording, late in a run."""
+    diagonal = jnp.asarray([[1.0, 2.0, 5.0]])
+    wanted = jnp.asarray([[1.0, 2.0, 3.0]])
+    found = JaxoptConjugateGradients(steps=3, tolerance=0)(lambda x: diagonal * x, 1e-25 * wanted)
+    np.testing.assert_allclose(1e25 * found, wanted / diagonal, rtol=1e-5)
+
+
 def test_the_penalty_is_balanced_at_first_only(case):
     """Begun a thousand times too large, ρ comes down; after 40 iterations it stays."""
     solver = ADMM(iterations=70, tolerance=0)

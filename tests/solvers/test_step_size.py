@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -59,6 +60,16 @@ def test_backtracking_finds_longer_steps_than_the_bound(case):
     outcome = run(ISTA(iterations=40, tolerance=0, step_size=Backtracking()), case.problem, case.start)
     longest = max(stage.step_size for stage in outcome.stages)
     assert longest > 1.05 * float(NormBound().first(case.problem))
+
+
+@pytest.mark.parametrize("step_size", [NormBound(), SpectralNorm(), Backtracking()])
+def test_without_samples_a_step_is_an_ordinary_number(step_size, case):
+    """f is 0 then, and any step serves: but 1e38 would overflow in whatever it is multiplied with."""
+    nothing = jax.tree.map(jnp.zeros_like, case.problem.data)
+    problem = eqx.tree_at(lambda p: p.data, case.problem, nothing)
+    assert float(step_size.first(problem)) == 1
+    outcome = run(FISTA(step_size=step_size), problem, case.start + jnp.eye(*case.start.shape))
+    assert outcome.result.good and np.isfinite(outcome.image).all()
 
 
 def test_a_fixed_step_is_what_the_record_says(case):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors import HuberTotalVariation, PlugAndPlay
-from scsr_opt.solvers import ADMM, FISTA, CondatVu, DualityGap, Problem, Result, run
+from scsr_opt.priors import Bounded, HuberTotalVariation, PlugAndPlay, TotalVariation
+from scsr_opt.solvers import ADMM, FISTA, CondatVu, DualityGap, JaxoptFISTA, Problem, Result, run
 
 SOLVERS = {"FISTA": FISTA, "ADMM": ADMM, "Condat–Vũ": CondatVu}
 
@@ -23,6 +23,17 @@ def double():
 
 def in_double(problem: Problem) -> Problem:
     return jax.tree.map(lambda v: jnp.asarray(v, jnp.float64) if eqx.is_inexact_array(v) else v, problem)
+
+
+@pytest.mark.parametrize("solver", [FISTA(), JaxoptFISTA()])
+def test_a_picture_may_become_black(solver, case):
+    """A change over nothing is a number, and no reason to call the picture one that is not finite."""
+    dark = eqx.tree_at(lambda d: d.target, case.problem.data, -jnp.ones_like(case.problem.data.target))
+    problem = Problem(dark, Bounded(TotalVariation(), 0, 1), case.problem.strength)
+    outcome = run(solver, problem, jnp.full_like(case.start, 0.01))
+    assert outcome.result.good
+    np.testing.assert_array_equal(outcome.image, 0)
+    assert all(math.isfinite(stage.residual) for stage in outcome.stages)
 
 
 @pytest.mark.parametrize("name", SOLVERS)

@@ -1,0 +1,149 @@
+"""What `scsr stress` requires, and where its bounds come from: derived from how numbers are rounded, never fitted.
+
+Notation: F = f + λΨ with Ψ(X) = φ(KX), p the dual variable, L ≥ ‖BᵀMB‖, u the unit roundoff (2⁻²⁴ in float32, 2⁻⁵³ in
+float64). A sum or a chain of k operations is known to k·u of the sum of its terms' sizes (Higham, 2002, "Accuracy and
+stability of numerical algorithms", §3.1, to first order).
+
+**Agreement.** Let X come from one precision and Y from float64, both be measured in float64, and r = ∇f(X) + λK*p,
+g = λ(φ(KX) + φ*(p) − ⟨KX, p⟩). As f is convex and p a subgradient of φ at KX but for g,
+
+    F(X) − F(Y) ≤ g + ⟨r, X − Y⟩ ≤ g + ‖r‖ ‖X − Y‖.                                                              (1)
+
+A solver says how small ‖r‖ is: its residual ρ (`Stage.residual`) is a step's length over ‖X‖, so that exact arithmetic
+has ‖r‖ ≤ max(1, βL − 1) ρ‖X‖/β (a proximal-gradient step changes ∇f along it by βH, 0 ≤ H ≤ L). What is tested is that
+the ρ that a solver reports keeps this promise in finite precision, where r differs by
+
+    ‖e‖ ≤ k·u ‖Bᵀ(M B|X| + c)‖ + k·u (‖X‖ + ‖R‖ + βλ‖K‖‖p‖)/β,     k = a + d,                                       (2)
+
+the first from ∇f, the second from putting X and R together. a is how many numbers were added up for an entry of M or c
+(known), d = 2·(9 + 4s + taps of the lens) + 32 the longest chain from a picture to its gradient and a step from there.
+FISTA carries ∇f along from iteration to iteration, with a factor below 1 and coefficients up to 4 in all, so that k
+grows by 4 in each; a line search expands about the first picture, and everything else begins there: |X| is taken as at
+least as large as that. M and c in bfloat16 change by 2⁻⁸ of themselves, which adds 2⁻⁸‖Bᵀ(M B|X| + c)‖. With Y in the
+place of X in (1): −E(Y) ≤ F(X) − F(Y) ≤ E(X), E = g + (ρ's bound + ‖e‖)·‖X − Y‖ + d·u·λ(Ψ(X) + Ψ(Y)), the last for a
+dual variable that is outside its ball by rounding. g is measured: how exact a proximal step is, is the prior's choice.
+
+**Descent.** A step of ISTA with β ≤ 1/L, its proximal step within g of the optimum, does not raise F by more than g
+(Beck and Teboulle, 2009; the majoriser at X is F(X), at the exact step it is lower, and the step made is within g of
+that). F is added up from n pixels and known to (n + d)·u (½⟨B|X|, M B|X|⟩ + ⟨c, B|X|⟩ + ½e + 2λφ); the gradient's error
+adds ‖e‖‖X' − X‖.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from benchmarks.stress_cases import Case
+from benchmarks.stress_data import addends
+from scsr_opt.priors import Analysis, Bounded, Prior
+from scsr_opt.solvers import Problem, lipschitz_bound
+
+UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "bfloat16": 2.0**-24}
+STORAGE = {"float64": 0.0, "float32": 0.0, "bfloat16": 2.0**-8}
+
+
+class Measured(NamedTuple):
+    """In float64: `objective` F, `misfit` g, `slope` ‖r‖, `length` ‖X‖, `gradient` ‖Bᵀ(M B|X| + c)‖, `step` ‖X‖ + ‖R‖ +
+    βλ‖K‖‖p‖, `prior` λΨ, `lipschitz` L, `apart` ‖R − βλK*p − X‖, `value` ½⟨B|X|, M B|X|⟩ + ⟨|c|, B|X|⟩ + ½e."""
+
+    objective: Array
+    misfit: Array
+    slope: Array
+    length: Array
+    gradient: Array
+    step: Array
+    prior: Array
+    lipschitz: Array
+    apart: Array
+    value: Array
+
+
+def analysis_of(prior: Prior) -> Analysis | None:
+    """The prior whose dual variable certifies a picture; None where there is none."""
+    inner = prior.prior if isinstance(prior, Bounded) else prior
+    return inner if isinstance(inner, Analysis) else None
+
+
+@eqx.filter_jit
+def measure(
+    problem: Problem,
+    image: Float[Array, "H W"],
+    origin: Float[Array, "H W"],
+    gradient_step: Float[Array, "H W"],
+    step_size: Float[Array, ""],
+    dual: Any,
+) -> Measured:
+    """Everything that the bounds are made of, in the precision of the problem. `origin`: the first picture."""
+    prior, λ, data = analysis_of(problem.prior), problem.strength, problem.data
+    assert prior is not None
+    value, gradient = data.value_and_gradient(image)
+    field = prior.analysis(image)
+    penalties = prior.penalties(field)
+    products = sum(jax.tree.leaves(jax.tree.map(lambda z, p: z * p, field, dual)))
+    misfit = λ * jnp.sum(penalties + prior.conjugates(dual) - products)
+    back = λ * prior.adjoint(dual)
+    size = jnp.maximum(jnp.abs(image), jnp.abs(origin))
+    sizes = data.blurred_adjoint(data.stencil(data.blurred(size)) + jnp.abs(data.target))
+    own = data.blurred(jnp.abs(image))
+    of_dual = jnp.sqrt(sum(jnp.sum(p**2) for p in jax.tree.leaves(dual)))
+    norm = jnp.linalg.norm
+    return Measured(
+        objective=value + λ * jnp.sum(penalties),
+        misfit=jnp.maximum(misfit, 0),
+        slope=norm(gradient + back),
+        length=norm(image),
+        gradient=norm(sizes),
+        step=norm(size) + norm(gradient_step) + step_size * λ * prior.norm_squared**0.5 * of_dual,
+        prior=λ * jnp.sum(penalties),
+        lipschitz=lipschitz_bound(data),
+        apart=norm(gradient_step - step_size * back - image),
+        value=jnp.sum(own * (0.5 * data.stencil(own) + jnp.abs(data.target))) + 0.5 * data.energy,
+    )
+
+
+def chain(case: Case) -> int:
+    """d."""
+    taps = 0 if case.lens is None else 2 * (2 * int(4 * case.lens + 0.5) + 1)
+    return 2 * (9 + 4 * case.scale + taps) + 32
+
+
+class Certificate(NamedTuple):
+    """Of a picture: `excess` g and `per_distance`, the rest of E over ‖X − Y‖; `objective` F in float64;
+    `loss` d·uλΨ and what F is known to in float64; `size`: of the sums that f is the difference of."""
+
+    excess: float
+    per_distance: float
+    objective: float
+    loss: float
+    size: float
+
+
+def certificate(
+    case: Case, seen: Measured, *, residual: float, step_size: float, iterations: int, inexact: bool
+) -> Certificate:
+    """E of (1) and (2), up to ‖X − Y‖.
+
+    **Arguments:** `iterations`: those that ∇f was carried along for, 0 if it is not. `inexact`: whether p is not the
+    solver's own, so that what R − βλK*p misses X by is a part of r.
+    """
+    unit = UNIT[case.precision]
+    rounding = (addends(case) + chain(case) + 4 * iterations) * unit
+    growth = max(1.0, step_size * float(seen.lipschitz) - 1)
+    promised = growth * residual * float(seen.length) / step_size + inexact * float(seen.apart) / step_size
+    lost = (rounding + STORAGE[case.precision]) * float(seen.gradient) + rounding * float(seen.step) / step_size
+    pixels = case.scale**2 * case.sensor[0] * case.sensor[1]
+    known = (pixels + chain(case)) * UNIT["float64"] * float(seen.value)
+    loss = chain(case) * unit * float(seen.prior) + known
+    return Certificate(float(seen.misfit), promised + lost, float(seen.objective), loss, float(seen.value))
+
+
+def agreement(one: Certificate, other: Certificate, distance: float) -> tuple[float, float]:
+    """F(X) − F(Y), and it as a share of what it may be: above 1 they do not agree."""
+    difference = one.objective - other.objective
+    of = one if difference >= 0 else other
+    allowed = of.excess + of.per_distance * distance + one.loss + other.loss
+    return difference, abs(difference) / max(allowed, float(np.finfo(float).tiny))

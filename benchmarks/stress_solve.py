@@ -1,0 +1,163 @@
+"""How `scsr stress` solves a case, and what certifies the picture that it finds."""
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from benchmarks.stress_cases import Case
+from benchmarks.stress_checks import Certificate, analysis_of, certificate, measure
+from benchmarks.stress_data import first_picture, problem_of
+from benchmarks.stress_methods import PRIORS, SMOOTH, SOLVERS
+from scsr_opt.priors import Bounded
+from scsr_opt.priors.patience import patient
+from scsr_opt.solvers import ChambollePock, CondatVu, Problem, Solver, lipschitz_bound, run
+from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
+from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
+
+# Runs of more iterations are not made twice, and have no tolerance to end by.
+LONG = 1000
+
+
+@dataclass
+class Finding:
+    """What came of a case. **Fields:** `outcome`: the name of a `Result`, "refused" (an `InputError`) or "raised".
+    `checks`: what was required, and whether it holds. `numbers`: what was measured. `said`: an error's sentence."""
+
+    case: Case
+    outcome: str = ""
+    checks: dict[str, bool] = field(default_factory=dict)
+    numbers: dict[str, float] = field(default_factory=dict)
+    said: str = ""
+
+    @property
+    def passed(self) -> bool:
+        return all(self.checks.values())
+
+
+class Picture(NamedTuple):
+    """A solve's `image`, `result` (its name), whether that is `good`, `objectives` of all stages, and its
+    `certificate`; None where none is known."""
+
+    image: Float[np.ndarray, "H W"]
+    result: str
+    good: bool
+    objectives: tuple[float, ...]
+    certificate: Certificate | None
+
+
+def ends_well(finding: Finding, image: np.ndarray, result: str, good: bool, objectives: tuple[float, ...]) -> None:
+    """A picture is finite in any case; with a good result so is everything that is said about it."""
+    finding.outcome = result
+    finite = bool(np.isfinite(image).all())
+    finding.checks["ends well"] = finite and (not good or all(math.isfinite(v) for v in objectives))
+    if objectives:
+        finding.numbers["objective"] = objectives[-1]
+    finding.numbers["iterations"] = len(objectives)
+
+
+def in_its(case: Case) -> Any:
+    """The context in which JAX works in the case's precision."""
+    return jax.enable_x64(case.precision == "float64")
+
+
+def solve(case: Case) -> Picture:
+    """By `run`, from the state of a first picture or, with start "other", from that of quite another problem."""
+    solver = SOLVERS[case.solver]
+    solver = dataclasses.replace(solver, iterations=case.iterations)
+    if case.iterations > LONG:
+        solver = dataclasses.replace(solver, tolerance=0.0)
+    with in_its(case):
+        problem = problem_of(case)
+        image = first_picture(case, problem.data.target.dtype)
+        state = first_state(case, solver, problem, image)
+        if case.start == "other":
+            other = eqx.tree_at(
+                lambda p: (p.data.target, p.strength),
+                problem,
+                (-100 * problem.data.target, jnp.full_like(problem.strength, 1e4)),
+            )
+            first = first_state(case, solver, other, image)
+            before = run(dataclasses.replace(solver, iterations=10), other, image, state=first).state
+            state = _definite(solver.warm(problem, before))
+        if case.step is not None:
+            state = state._replace(step_size=jnp.asarray(case.step, image.dtype) / lipschitz_bound(problem.data))
+        outcome = run(solver, problem, image, state=state)
+        gradient_step = np.asarray(solver.gradient_step(problem, outcome.state))
+        certified = outcome.result.good and bool(np.isfinite(gradient_step).all())
+        stages = outcome.stages
+    objectives = tuple(stage.objective for stage in stages)
+    known = certificate_of(case, solver, outcome.state, outcome.image, gradient_step, stages) if certified else None
+    return Picture(outcome.image, outcome.result.name, outcome.result.good, objectives, known)
+
+
+def first_state(case: Case, solver: Solver, problem: Problem, image: Float[Array, "H W"]) -> Any:
+    """Operation by operation, since to compile it would take as long as to compile all that follows; but where there
+    are loops, each of which would be compiled every time."""
+    solver = dataclasses.replace(solver, iterations=1, tolerance=0.0)
+    if case.lens is not None or case.prior == "bilateral TV":
+        return _compiled_first(solver, problem, image)
+    return _definite(solver.init(problem, image))
+
+
+@eqx.filter_jit
+def _compiled_first(solver: Solver, problem: Problem, image: Float[Array, "H W"]) -> Any:
+    return _definite(solver.init(problem, image))
+
+
+def _definite(state: Any) -> Any:
+    """The state with types of its own, as a compiled one has."""
+    return jax.tree.map(lambda v: jax.lax.convert_element_type(v, v.dtype) if eqx.is_array(v) else v, state)
+
+
+def certificate_of(
+    case: Case, solver: Solver, state: Any, image: np.ndarray, gradient_step: np.ndarray, stages: tuple[Any, ...]
+) -> Certificate | None:
+    """What is known of a picture from the state that its solver ended in, measured in float64; None where the prior, or
+    what the solver keeps of it, has no dual variable that certifies anything."""
+    prior = PRIORS[case.prior]
+    analysis = analysis_of(prior)
+    proximal = isinstance(solver, ISTA | FISTA)
+    foreign = solver.inner_iterations if isinstance(solver, JaxoptISTA | JaxoptFISTA) else 0
+    if analysis is None or (isinstance(prior, Bounded) and not proximal):
+        return None
+    exactly = dataclasses.replace(case, precision="float64")
+    with jax.enable_x64(True):
+        problem, origin = problem_of(exactly), first_picture(exactly, jnp.dtype("float64"))
+        image64, moved = (jnp.asarray(v, jnp.float64) for v in (image, gradient_step))
+        primal_dual = isinstance(solver, CondatVu | ChambollePock)
+        step_size = 1 / float(state.lipschitz) if primal_dual else float(state.step_size)
+        β = jnp.asarray(step_size, jnp.float64)
+        if foreign:
+            dual = _dual_of(patient(prior, foreign), moved, β * problem.strength)
+        elif case.solver in SMOOTH:
+            dual = _slope_of(analysis, image64)
+        else:
+            own = state.prior if proximal else state.dual.field
+            own = own.prior if isinstance(prior, Bounded) else own
+            dual = jax.tree.map(lambda v: jnp.asarray(np.asarray(v), jnp.float64), own)
+        seen = measure(problem, image64, origin, moved, β, dual)
+    if not math.isfinite(float(seen.objective)):
+        return None
+    return certificate(
+        case, seen, residual=stages[-1].residual, step_size=step_size, inexact=bool(foreign),
+        iterations=len(stages) if isinstance(solver, FISTA) else 0,
+    )  # fmt: skip
+
+
+@eqx.filter_jit
+def _dual_of(prior: Any, image: Array, strength: Array) -> Any:
+    """The dual variable of a proximal step that starts from nothing."""
+    return prior.prox(image, strength, prior.initial_state(image))[1]
+
+
+@eqx.filter_jit
+def _slope_of(prior: Any, image: Array) -> Any:
+    """∇φ(KX), where φ has one."""
+    return jax.grad(lambda field: jnp.sum(prior.penalties(field)))(prior.analysis(image))

@@ -157,7 +157,7 @@ def _drawn_agreement(findings: list[Finding]) -> Figure | None:
     right.set(xscale="log", xlabel="share of the bound (1 = not agreeing)", ylabel="pictures")
     right.axvline(1, color="k", linewidth=1)
     for axes in (left, right):
-        axes.legend(frameon=False)
+        axes.legend(markerscale=2)
         axes.grid(alpha=0.3)
     return drawn
 

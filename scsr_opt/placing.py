@@ -119,9 +119,10 @@ def measured(
     """
     frames, height, width = stream.spikes.shape
     path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
-        still_for = np.clip(_MERGED_MOTION / (scale * path.fastest), 1, frames).astype(np.int32)
+        still_for = _MERGED_MOTION / (scale * path.fastest)
+    still_for = np.clip(np.nan_to_num(still_for), 1, frames).astype(np.int32)
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
@@ -137,6 +138,7 @@ def measured(
 
 def _positions(samples: Samples, motion: Motion, scale: int) -> int:
     """How finely exposures are sampled: 1, 3 or 5 positions, by how far the surface moves during a long one."""
-    moved = scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
-    long = float(np.quantile(moved, 0.9)) if moved.size else 0.0
+    with np.errstate(over="ignore"):
+        moved = scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
+    long = float(np.quantile(np.minimum(moved, 1e6), 0.9)) if moved.size else 0.0  # no infinity to interpolate
     return 1 if long < _EXPOSURE_MOTION else 3 if long < 3 * _EXPOSURE_MOTION else 5

@@ -138,6 +138,12 @@ def test_nothing_left_when_every_pixel_is_bad():
     assert solution.result is Result.no_samples
 
 
+def test_nothing_left_when_all_is_said_to_have_flown_away():
+    spikes = moving(2).spikes
+    solution = reconstruct(spikes, scale=2, velocity=(1e38, 1e38))
+    assert solution.result is Result.no_samples
+
+
 @pytest.mark.parametrize("shape", [(2, 2), (3, 6), (5, 7)])
 def test_small_sensors_before_which_something_moves(shape):
     """Too few pixels for any layer."""

@@ -28,6 +28,7 @@ def test_a_checkpoint_is_what_its_name_says(path):
     assert model(name, scale=scale).name == name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_network_sees_more_than_playback(path):
     """A picture that it was not trained on, moving by 0.1 pixels per frame: 2 dB at least (measured: 3.6)."""

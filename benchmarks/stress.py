@@ -17,7 +17,6 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +28,8 @@ from benchmarks.stress_run import examine
 from benchmarks.stress_solve import Finding
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.report import whole_file
+from scsr_opt.report import versions, whole_file
 
-_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 # Linux lets a process have 65,530 mappings of memory, and a compiled program takes some tens.
 _MANY_MAPPINGS = 20_000
 
@@ -151,7 +149,6 @@ def machine() -> dict[str, Any]:
         commit = None
     return {
         "machine": f"{os.cpu_count()} {platform.machine()} cores, {platform.system()}",
-        "python": platform.python_version(),
-        "versions": {name: version(name) for name in _PACKAGES},
+        "versions": versions(),
         "commit": commit,
     }

@@ -41,6 +41,7 @@ from benchmarks.stress_cases import Case
 from benchmarks.stress_data import addends
 from scsr_opt.priors import Analysis, Bounded, Prior
 from scsr_opt.solvers import Problem, lipschitz_bound
+from scsr_opt.solvers.stopping import misfit
 
 UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "bfloat16": 2.0**-24}
 STORAGE = {"float64": 0.0, "float32": 0.0, "bfloat16": 2.0**-8}
@@ -81,10 +82,7 @@ def measure(
     prior, λ, data = analysis_of(problem.prior), problem.strength, problem.data
     assert prior is not None
     value, gradient = data.value_and_gradient(image)
-    field = prior.analysis(image)
-    penalties = prior.penalties(field)
-    products = sum(jax.tree.leaves(jax.tree.map(lambda z, p: z * p, field, dual)))
-    misfit = λ * jnp.sum(penalties + prior.conjugates(dual) - products)
+    penalty, excess = misfit(prior, prior.analysis(image), dual)
     back = λ * prior.adjoint(dual)
     size = jnp.maximum(jnp.abs(image), jnp.abs(origin))
     sizes = data.blurred_adjoint(data.stencil(data.blurred(size)) + jnp.abs(data.target))
@@ -92,13 +90,13 @@ def measure(
     of_dual = jnp.sqrt(sum(jnp.sum(p**2) for p in jax.tree.leaves(dual)))
     norm = jnp.linalg.norm
     return Measured(
-        objective=value + λ * jnp.sum(penalties),
-        misfit=jnp.maximum(misfit, 0),
+        objective=value + λ * penalty,
+        misfit=jnp.maximum(λ * excess, 0),
         slope=norm(gradient + back),
         length=norm(image),
         gradient=norm(sizes),
         step=norm(size) + norm(gradient_step) + step_size * λ * prior.norm_squared**0.5 * of_dual,
-        prior=λ * jnp.sum(penalties),
+        prior=λ * penalty,
         lipschitz=lipschitz_bound(data),
         apart=norm(gradient_step - step_size * back - image),
         value=jnp.sum(own * (0.5 * data.stencil(own) + jnp.abs(data.target))) + 0.5 * data.energy,

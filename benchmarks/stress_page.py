@@ -98,7 +98,7 @@ def page(report: Report) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in about["versions"].items())
     said = (
         f"By `scsr stress{asked}`: {len(findings)} cases by {about['programs']} programs in {about['seconds']:.0f} s "
-        f"on {about['machine']}; Python {about['python']}, {versions}; commit {about['commit']}. "
+        f"on {about['machine']}; {versions}; commit {about['commit']}. "
         f"**{len(report.failed)} failed.**"
     )
     parts = [MARKS[0], said]

@@ -30,6 +30,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.operators import accumulate
 from scsr_opt.priors import Bounded
 from scsr_opt.solvers import Problem, Solver, lipschitz_bound, run, solution
+from scsr_opt.solvers.stopping import misfit
 
 # Iterations whose descent is followed; problems at a time.
 _DESCENT, _BATCH = 30, 3
@@ -121,13 +122,11 @@ def _followed(solver: Solver, problem: Problem, image: Float[Array, "H W"], step
     def one(state: Any, _: None) -> tuple[Any, Array]:
         following, record = solver.step(problem, state)
         dual = following.prior.prior if isinstance(problem.prior, Bounded) else following.prior
-        field = prior.analysis(following.image)
-        penalties = prior.penalties(field)
-        products = sum(jax.tree.leaves(jax.tree.map(lambda z, p: z * p, field, dual)))
-        excess = jnp.maximum(λ * jnp.sum(penalties + prior.conjugates(dual) - products), 0)
+        penalty, off = misfit(prior, prior.analysis(following.image), dual)
+        excess = jnp.maximum(λ * off, 0)
         u = data.blurred(jnp.abs(following.image))
         spread = data.stencil(u)
-        size = jnp.sum(u * (0.5 * spread + data.target)) + 0.5 * data.energy + 2 * λ * jnp.sum(penalties)
+        size = jnp.sum(u * (0.5 * spread + data.target)) + 0.5 * data.energy + 2 * λ * penalty
         lost = jnp.linalg.norm(data.blurred_adjoint(spread + data.target))
         moved = jnp.linalg.norm(following.image - state.image)
         whole = jnp.linalg.norm(following.image) + jnp.linalg.norm(following.gradient_step)

@@ -18,6 +18,7 @@ from benchmarks.stress_methods import PRIORS, SMOOTH, SOLVERS
 from scsr_opt.priors import Bounded
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers import ChambollePock, CondatVu, Problem, Solver, lipschitz_bound, run
+from scsr_opt.solvers.iterate import strongly_typed
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 
@@ -85,7 +86,7 @@ def solve(case: Case) -> Picture:
             )
             first = first_state(case, solver, other, image)
             before = run(dataclasses.replace(solver, iterations=10), other, image, state=first).state
-            state = _definite(solver.warm(problem, before))
+            state = strongly_typed(solver.warm(problem, before))
         if case.step is not None:
             state = state._replace(step_size=jnp.asarray(case.step, image.dtype) / lipschitz_bound(problem.data))
         outcome = run(solver, problem, image, state=state)
@@ -103,17 +104,12 @@ def first_state(case: Case, solver: Solver, problem: Problem, image: Float[Array
     solver = dataclasses.replace(solver, iterations=1, tolerance=0.0)
     if case.lens is not None or case.prior == "bilateral TV":
         return _compiled_first(solver, problem, image)
-    return _definite(solver.init(problem, image))
+    return strongly_typed(solver.init(problem, image))
 
 
 @eqx.filter_jit
 def _compiled_first(solver: Solver, problem: Problem, image: Float[Array, "H W"]) -> Any:
-    return _definite(solver.init(problem, image))
-
-
-def _definite(state: Any) -> Any:
-    """The state with types of its own, as a compiled one has."""
-    return jax.tree.map(lambda v: jax.lax.convert_element_type(v, v.dtype) if eqx.is_array(v) else v, state)
+    return strongly_typed(solver.init(problem, image))
 
 
 def certificate_of(

@@ -15,7 +15,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.dense import dense
 from scsr_opt.motion.estimator import Estimator
-from scsr_opt.motion.evidence import Missed, contradicted, missed, resting, typical_noise
+from scsr_opt.motion.evidence import Missed, at_rest, contradicted, missed, typical_noise
 from scsr_opt.motion.layers import layered
 from scsr_opt.motion.parametric import parametric
 from scsr_opt.motion.phase import PhaseCorrelation
@@ -36,12 +36,12 @@ _PREDICTS = 0.97
 # dense estimate then was up to 3 dB better.
 _EDGE = 3
 _SCATTERED = 0.5
+# Nor where they predict the recording worse than it, by more than this factor.
+_WORSE = 1.01
 # What moves apart from the background is looked for on the rows and columns where something does, with a margin (sensor
 # pixels; the widest window of the dense estimate has a reach of 18), in steps that let compiled code be met again; if
 # they make up no more than this share of the sensor.
 _MARGIN, _STEP, _WORTH = 24, 16, 0.85
-# Nor where they predict the recording worse than it, by more than this factor.
-_WORSE = 1.01
 
 
 class Still(Estimator):
@@ -81,25 +81,25 @@ class Automatic(Estimator):
 
     def __call__(self, pictures: Stretches) -> Motion:
         still = Motion.none(*pictures.picture.shape[1:])
-        moving = contradicted(pictures, still)
+        moving, resting = at_rest(pictures)
         rests = bool(moving.mean() <= _TOLERATED_AT_REST)
         if self.skip and rests:
             return still
-        apart = _apart_from_rest(resting(pictures), moving)
-        if self.skip and apart:
+        several = _takes_several(resting, moving)
+        if self.skip and several:
             whole, left = still, moving
         else:
             whole, left = together(pictures)
-        serves = not apart and bool(left.mean() <= _TOLERATED_GLOBAL)
+        serves = not several and bool(left.mean() <= _TOLERATED_GLOBAL)
         if self.skip and serves:
             return whole
-        of_whole = not apart and bool(left.mean() < moving.mean() / 2)
+        of_whole = not several and bool(left.mean() < moving.mean() / 2)
         background, unexplained = (whole, left) if of_whole else (still, moving)
         richer = _apart(pictures, background, unexplained, self.skip)
         return still if rests else whole if serves else richer
 
 
-def _apart_from_rest(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:
+def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:
     """Do most of the moving pixels lie between or near pixels that are at rest?
 
     A component of an affine motion that is at most ε at some points is at most ε between them, and at most 3ε as far

@@ -36,11 +36,14 @@ def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]
     return against & (motion.speed <= _SMEAR * firing)
 
 
-def resting(pictures: Stretches) -> Bool[np.ndarray, "h w"]:
-    """Where it is certain that nothing moves: any motion by half a pixel over the recording would contradict rest."""
+def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Where the recording contradicts that nothing moves, as `contradicted` says, and where it is certain that nothing
+    does: any motion by half a pixel over the recording would contradict rest."""
     none = jnp.zeros((2, *pictures.picture.shape[1:]), jnp.float32)
     evidence, drifted, least = _evidence(presmoothed(pictures, 1.0), none, none, jnp.asarray(_WINDOW))
-    return np.asarray((evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION))
+    moving = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
+    certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
+    return moving, np.asarray(certain)
 
 
 def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:

@@ -195,10 +195,10 @@ def _check_finite(solver: Solver, image: Float[Array, "H W"]) -> None:
 
 @eqx.filter_jit
 def _warm(solver: Solver[State], problem: Problem, state: State) -> State:
-    return _strong(solver.warm(problem, state))
+    return strongly_typed(solver.warm(problem, state))
 
 
-def _strong(state: State) -> State:
+def strongly_typed(state: State) -> State:
     """The state without weak types, such as a Python number leaves: `_advance` gives none, and would compile twice."""
     return jax.tree.map(
         lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype) if eqx.is_array(leaf) else leaf, state
@@ -215,7 +215,7 @@ def _begin(
     chunk: int,
 ) -> tuple[State, Float[Array, "chunk _"], Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
     """The state before the first iteration, and on from there: in one program, as each costs a call of 0.2 ms."""
-    return _iterate(solver, problem, _strong(solver.init(problem, image)), most, tolerance, chunk)
+    return _iterate(solver, problem, strongly_typed(solver.init(problem, image)), most, tolerance, chunk)
 
 
 @eqx.filter_jit

@@ -57,11 +57,11 @@ def test_no_affine_motion_explains_what_moves_between_pixels_at_rest():
     rows, columns = np.mgrid[0:100, 0:120]
     inside = np.hypot(rows - 50, columns - 60)
     # A turn about the middle: at rest there, and the faster the farther out.
-    assert not estimate._apart_from_rest(inside < 20, inside > 40)
-    assert estimate._apart_from_rest(inside > 40, inside < 20)
-    assert estimate._apart_from_rest(columns < 60, (columns > 70) & (columns < 85))
-    assert not estimate._apart_from_rest(np.zeros((100, 120), bool), inside > 40)
-    assert not estimate._apart_from_rest(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
+    assert not estimate._takes_several(inside < 20, inside > 40)
+    assert estimate._takes_several(inside > 40, inside < 20)
+    assert estimate._takes_several(columns < 60, (columns > 70) & (columns < 85))
+    assert not estimate._takes_several(np.zeros((100, 120), bool), inside > 40)
+    assert not estimate._takes_several(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
 
 
 @pytest.mark.parametrize("kept", [True, False])

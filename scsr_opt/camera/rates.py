@@ -1,7 +1,9 @@
 """Mean intensity of every pixel over stretches of time, from the exact times of its spikes."""
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
+
+Readings = Float[np.ndarray, "h w"]
 
 
 def interval_rates(
@@ -17,14 +19,12 @@ def interval_rates(
     """
     frames = spikes.shape[0]
     fired = np.asarray(spikes).astype(bool, copy=False)
-    time = np.arange(frames, dtype=np.int16 if frames < 2**15 - 2 else np.int32)[:, None, None]
-    before = np.maximum.accumulate(np.where(fired, time, time.dtype.type(-1)), axis=0)  # latest spike ≤ t
-    after = np.minimum.accumulate(np.where(fired, time, time.dtype.type(frames))[::-1], axis=0)[::-1]  # next spike ≥ t
-    count = np.cumsum(fired, axis=0, dtype=time.dtype)
-    total, first, last = count[-1].astype(np.float32), after[0].astype(np.float32), before[-1].astype(np.float32)
-
-    second = np.take_along_axis(after, np.minimum(after[0] + 1, frames - 1)[None].astype(np.intp), axis=0)[0]
-    last_but_one = np.take_along_axis(before, np.maximum(before[-1] - 1, 0)[None].astype(np.intp), axis=0)[0]
+    at = [int(np.clip(np.floor(edge), 0, frames - 2)) if frames > 1 else 0 for edge in edges]
+    following = [min(t + 1, frames - 1) for t in at]
+    forward, last, last_but_one = _latest(fired, set(at))
+    backward, *ends = _latest(fired[::-1], {frames - 1 - t for t in following})
+    first, second = (frames - 1 - end for end in ends)
+    total = np.add.reduce(fired.view(np.int8), axis=0, dtype=np.int32).astype(np.float32)
     known = total >= 2
     with np.errstate(divide="ignore", invalid="ignore"):
         early = np.minimum(1 / (second - first), 1 / np.maximum(first, 1))
@@ -33,13 +33,32 @@ def interval_rates(
 
     gathered = np.empty((len(edges), *spikes.shape[1:]), np.float32)
     for number, edge in enumerate(edges):
-        t = int(np.clip(np.floor(edge), 0, frames - 2)) if frames > 1 else 0
-        a, b = before[t], after[min(t + 1, frames - 1)]
+        a, count = forward[at[number]]
+        b = frames - 1 - backward[frames - 1 - following[number]][0]
         inside = (a >= 0) & (b < frames) & (b > a)
         share = np.where(inside, (edge - a) / np.maximum(b - a, 1), 0)
-        reading = np.where(inside, count[t] + share, 0)
+        reading = np.where(inside, count + share, 0)
         reading = np.where(known & (a < 0), 1 - (first - edge) * early, reading)
         reading = np.where(known & (a >= 0) & ~inside, total + (edge - last) * late, reading)
         gathered[number] = np.where(known, reading, mean * (edge + 0.5))
     lengths = np.diff(np.asarray(edges, np.float32))[:, None, None]
     return np.diff(gathered, axis=0) / lengths / np.float32(white_rate)
+
+
+def _latest(
+    fired: Bool[np.ndarray, "T h w"], wanted: set[int]
+) -> tuple[dict[int, tuple[Readings, Readings]], Readings, Readings]:
+    """For each frame `wanted`, every pixel's latest spike up to it and the number of its spikes; the last spike of all
+    and the last but one. −1 where there is none."""
+    kind = np.int16 if len(fired) < 2**15 else np.int32
+    latest = np.zeros(fired.shape[1:], kind)  # counted from 1 here
+    previous, count, kept = latest.copy(), latest.copy(), {}
+    for t, now in enumerate(fired.view(np.int8)):
+        # By masks of bits: an eighth of the time of masked copies.
+        mask = np.negative(now, dtype=kind)
+        previous ^= (previous ^ latest) & mask
+        latest ^= (latest ^ kind(t + 1)) & mask
+        count += now
+        if t in wanted:
+            kept[t] = latest.astype(np.float32) - 1, count.astype(np.float32)
+    return kept, latest.astype(np.float32) - 1, previous.astype(np.float32) - 1

@@ -8,6 +8,7 @@ the key frame are taken in step by step: at 40,000 frames a second the near ones
 guessed.
 """
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -20,7 +21,8 @@ from scsr_opt.camera.rates import interval_rates
 from scsr_opt.motion.trajectory import bilinear
 
 
-class Stretches(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Stretches:
     """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame.
 
     `firing` (h, w), if known: spikes per frame, mean over the recording. No picture shows changes that are faster than
@@ -30,6 +32,16 @@ class Stretches(NamedTuple):
     picture: Float[Array, "n h w"]
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
+    _presmoothed: dict[float, "Stretches"] = field(default_factory=dict, init=False, repr=False)
+
+    def presmoothed(self, sigma: float | int) -> "Stretches":
+        """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken.
+
+        Made once for each `sigma`: nearly everything that looks at pictures asks for the same few."""
+        if sigma not in self._presmoothed:
+            blurred = gaussian_filter(np.asarray(self.picture), sigma, axes=(1, 2), mode="nearest")
+            self._presmoothed[sigma] = Stretches(jnp.asarray(blurred), self.after, self.firing)
+        return self._presmoothed[sigma]
 
     def part(self, rows: slice, columns: slice) -> "Stretches":
         """The pictures of a part of the sensor."""
@@ -91,38 +103,56 @@ class Drift(NamedTuple):
     seen: Float[Array, "h w"]
 
 
+# Pixels whose pictures along a motion are looked up together.
+_BLOCK = 8192
+
+
 @jax.jit
 def drift(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
     taking_part: Float[Array, " n"],
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
+    motion: tuple[Float[Array, "2 h w"], Float[Array, "2 h w"]] | None,
 ) -> Drift:
-    """`Drift` of the pictures along a motion. Moments with `taking_part` 0 are left out."""
+    """`Drift` of the pictures along a motion, (velocity, acceleration), or at rest. Moments with `taking_part` 0 are
+    left out."""
     height, width = pictures.shape[1:]
-    rows, columns = jnp.meshgrid(
-        jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
-    )
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
-    powers = jnp.arange(5, dtype=jnp.float32)
 
-    def add(sums: tuple[Array, Array], one: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
-        picture, tau, part = one
-        row = rows + tau * velocity[0] + 0.5 * tau**2 * acceleration[0]
-        column = columns + tau * velocity[1] + 0.5 * tau**2 * acceleration[1]
+    def sums(value: Float[Array, "n m"], weight: Float[Array, "n m"]) -> Float[Array, "9 m"]:
+        """Σ weight (1, τ, τ², τ³, τ⁴), Σ weight·value (1, τ, τ²/2), Σ weight·value²."""
+        weighted = weight * value
+        times = (after[None] ** jnp.arange(5, dtype=after.dtype)[:, None]) @ weight
+        values = jnp.stack([jnp.ones_like(after), after, after**2 / 2]) @ weighted
+        return jnp.concatenate([times, values, (weighted * value).sum(0)[None]])
+
+    def along(pixel: Float[Array, "7 m"]) -> Float[Array, "9 m"]:
+        row, column, *field, start = pixel[:, None]
+
+        def position(tau: Array) -> tuple[Array, Array]:
+            down, right, down_more, right_more = field
+            return row + tau * down + 0.5 * tau**2 * down_more, column + tau * right + 0.5 * tau**2 * right_more
+
+        # The values are looked up picture by picture and kept: looked up anew for each sum, they took twice as long.
+        value = jax.lax.map(lambda one: bilinear(one[0][None], *position(one[1]))[0, 0] - start[0], (pictures, after))
+        row, column = position(after[:, None])
         inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-        weight = jnp.where(inside, part, 0)
-        value = bilinear(picture[None], row, column)[0] - about
-        moments, values = sums
-        moments = moments + weight[None] * (tau**powers)[:, None, None]
-        one_to_value = jnp.stack([weight, weight * tau, weight * tau**2 / 2, weight * value])
-        values = values + one_to_value * value[None]
-        return (moments, values), None
+        return sums(value, jnp.where(inside, taking_part[:, None], 0))
 
-    start = (jnp.zeros((5, height, width), jnp.float32), jnp.zeros((4, height, width), jnp.float32))
-    (moments, values), _ = jax.lax.scan(add, start, (pictures, after, taking_part))
+    if motion is None:
+        weight = jnp.broadcast_to(taking_part[:, None], (after.size, height * width))
+        total = sums((pictures - about[None]).reshape(after.size, -1), weight)
+    else:
+        # Some pixels at a time, so that what is kept stays near: all of 250×400 at once took twice as long.
+        grid = jnp.meshgrid(jnp.arange(height, dtype=after.dtype), jnp.arange(width, dtype=after.dtype), indexing="ij")
+        pixels = jnp.concatenate([jnp.stack(grid), *motion, about[None]]).reshape(7, -1)
+        blocks = -(-height * width // _BLOCK)
+        pixels = jnp.pad(pixels, ((0, 0), (0, blocks * _BLOCK - height * width))).reshape(7, blocks, _BLOCK)
+        total = jax.lax.map(along, jnp.moveaxis(pixels, 1, 0))
+        total = jnp.moveaxis(total, 0, 1).reshape(9, -1)[:, : height * width]
+    total = total.reshape(9, height, width)
+    moments, values = total[:5], total[5:]
     # Σ weight, of the regressors τ and τ²/2, and of their products.
     seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])
     products = moments[2:] / jnp.array([1.0, 2.0, 4.0])[:, None, None]
@@ -139,12 +169,6 @@ def drift(
         residual=jnp.maximum(values[3] - values[0] * mean, 0),
         seen=seen,
     )
-
-
-def presmoothed(pictures: Stretches, sigma: float | int) -> Stretches:
-    """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken."""
-    blurred = gaussian_filter(np.asarray(pictures.picture), sigma, axes=(1, 2), mode="nearest")
-    return pictures._replace(picture=jnp.asarray(blurred))
 
 
 # The widest window that `smooth` is asked for, in sensor pixels.

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.ndimage import median_filter
 
-from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
+from scsr_opt.motion.alignment import Stretches, drift, smooth
 from scsr_opt.motion.trajectory import Motion
 
 # (frames from the key frame, presmoothing, window, steps), sensor pixels: near times and wide windows first.
@@ -30,7 +30,8 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
     for reach, sigma, window, steps in _SCHEDULE:
         part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
         velocity, confidence = _refine(
-            presmoothed(pictures, sigma),
+            pictures.presmoothed(sigma).picture,
+            pictures.after,
             part,
             velocity,
             acceleration,
@@ -50,7 +51,8 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
 
 @jax.jit
 def _refine(
-    pictures: Stretches,
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
     part: Float[Array, " n"],
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"],
@@ -59,11 +61,11 @@ def _refine(
     window: Float[Array, ""],
     steps: Int[Array, ""],
 ) -> tuple[Float[Array, "2 h w"], Float[Array, "h w"]]:
-    longest = jnp.max(jnp.abs(pictures.after) * part)
+    longest = jnp.max(jnp.abs(after) * part)
 
     def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         velocity, _ = carry
-        now = drift(pictures.picture, pictures.after, part, velocity, acceleration)
+        now = drift(pictures, after, part, (velocity, acceleration))
         spread, change = now.spread[0, 0], now.change[0]
         noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
         # Per unit of residual variance: the information about the velocity in the window.

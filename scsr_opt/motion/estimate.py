@@ -1,6 +1,7 @@
 """Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import jax.numpy as jnp
@@ -210,7 +211,7 @@ def estimate_motion(
         return Motion.none(height, width)
     pictures = stretches(spikes, key=key, white_rate=white_rate)
     if bad_pixels is not None and bad_pixels.any():
-        pictures = pictures._replace(picture=filled(pictures.picture, ~bad_pixels))
+        pictures = replace(pictures, picture=filled(pictures.picture, ~bad_pixels))
     motion = (Automatic() if estimator is None else estimator)(pictures)
     return trusted(pictures, motion)
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.motion.alignment import Stretches, drift, presmoothed, smooth
+from scsr_opt.motion.alignment import Drift, Stretches, drift, smooth
 from scsr_opt.motion.trajectory import Motion, bilinear, seen_at
 
 # A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
@@ -26,9 +26,7 @@ _SMEAR = 2.0
 
 def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where the recording contradicts `motion`, see above."""
-    evidence, drifted, _ = _evidence(
-        presmoothed(pictures, 1.0), jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(_WINDOW)
-    )
+    evidence, drifted, _ = _evidence(pictures, motion)
     against = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
     if pictures.firing is None:
         return against
@@ -39,8 +37,7 @@ def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]
 def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Where the recording contradicts that nothing moves, as `contradicted` says, and where it is certain that nothing
     does: any motion by half a pixel over the recording would contradict rest."""
-    none = jnp.zeros((2, *pictures.picture.shape[1:]), jnp.float32)
-    evidence, drifted, least = _evidence(presmoothed(pictures, 1.0), none, none, jnp.asarray(_WINDOW))
+    evidence, drifted, least = _evidence(pictures, None)
     moving = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
     certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
     return moving, np.asarray(certain)
@@ -48,14 +45,9 @@ def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarr
 
 def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:
     """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels."""
-    smoothed = presmoothed(pictures, sharpness)
-    now = drift(
-        smoothed.picture,
-        smoothed.after,
-        jnp.ones_like(smoothed.after),
-        jnp.asarray(motion.velocity),
-        jnp.asarray(motion.acceleration),
-    )
+    smoothed = pictures.presmoothed(sharpness)
+    along = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
+    now = drift(smoothed.picture, smoothed.after, jnp.ones_like(smoothed.after), along)
     return np.asarray(now.residual / jnp.maximum(now.seen, 1))
 
 
@@ -94,11 +86,11 @@ class Missed(NamedTuple):
 
 def missed(pictures: Stretches, motion: Motion, noise: float) -> Missed:
     """What a motion misses of the pictures; `noise`: their typical variance along a good motion."""
-    smoothed = presmoothed(pictures, 1.0)
+    smoothed = pictures.presmoothed(1.0)
     after = np.asarray(smoothed.after)
     near = (jnp.abs(smoothed.after) <= max(_NEAR, float(np.abs(after).min()))).astype(jnp.float32)
     velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    present = drift(smoothed.picture, smoothed.after, near, velocity, acceleration).mean
+    present = drift(smoothed.picture, smoothed.after, near, (velocity, acceleration)).mean
     position, visible = seen_at(motion, smoothed.after[::_EVERY])
     error, visible = _missed(smoothed.picture[::_EVERY], position, visible, present, jnp.asarray(noise, jnp.float32))
     return Missed(np.asarray(error), np.asarray(visible))
@@ -124,16 +116,21 @@ def _missed(
     return error, visible * inside
 
 
-@jax.jit
 def _evidence(
-    pictures: Stretches,
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
-    window: Float[Array, ""],
+    pictures: Stretches, motion: Motion | None
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
-    """Score test of each window's velocity: twice the gain in log-likelihood of the best one, how far that goes, and
-    what the gain would be, at least, if the best one went half a pixel elsewhere."""
-    now = drift(pictures.picture, pictures.after, jnp.ones_like(pictures.after), velocity, acceleration)
+    """Score test of each window's velocity, or of rest: twice the gain in log-likelihood of the best one, how far that
+    goes, and what the gain would be, at least, if the best one went half a pixel elsewhere."""
+    smoothed = pictures.presmoothed(1.0)
+    along = None if motion is None else (jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration))
+    now = drift(smoothed.picture, smoothed.after, jnp.ones_like(smoothed.after), along)
+    return _score(now, jnp.max(jnp.abs(smoothed.after)), jnp.asarray(_WINDOW))
+
+
+@jax.jit
+def _score(
+    now: Drift, longest: Float[Array, ""], window: Float[Array, ""]
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
     noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
     samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
     information = (
@@ -142,6 +139,5 @@ def _evidence(
     pull = -smooth(now.change[:1] * now.slope, window) / noise[None] * samples
     a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
     update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
-    longest = jnp.max(jnp.abs(pictures.after))
     poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
     return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest, poorest * (_DRIFT / longest) ** 2

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
-from scsr_opt.motion.alignment import Stretches, drift, presmoothed
+from scsr_opt.motion.alignment import Stretches, drift
 from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
@@ -66,7 +66,7 @@ def layered(
     fastest = _FASTEST * _top_speed(everywhere, moving)
     motions = _find(pictures, background, everywhere, moving, fastest, total)
     noise = typical_noise(pictures, everywhere, _SHARPNESS)
-    sharp = presmoothed(pictures, _SHARPNESS)
+    sharp = pictures.presmoothed(_SHARPNESS)
     mismatches = [_mismatch(sharp, motion, noise) + _ENOUGH * (motion.speed > fastest) for motion in motions]
     found = [_layers(pictures, motions, mismatches, everywhere)]
     if len(motions) > 2 and motions[-1] is everywhere:
@@ -232,7 +232,8 @@ def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:
 
 def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, in units of `noise`."""
-    sides = _sides(sharp, jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), jnp.asarray(noise))
+    along = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
+    sides = _sides(sharp.picture, sharp.after, *along, jnp.asarray(noise))
     sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
     # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
     return 0.7 * sides.min(0) + 0.3 * sides.mean(0)
@@ -240,13 +241,17 @@ def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarra
 
 @jax.jit
 def _sides(
-    pictures: Stretches, velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], noise: Float[Array, ""]
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+    noise: Float[Array, ""],
 ) -> Float[Array, "2 h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, before it and after it.
 
     Mean square in units of `noise`, cut off. Moments within 20 frames count less, for there all motions agree.
     """
-    height, width = pictures.picture.shape[1:]
+    height, width = pictures.shape[1:]
     rows, columns = jnp.meshgrid(
         jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
     )
@@ -263,7 +268,7 @@ def _sides(
         return (sums[0] + weight * value, sums[1] + weight), None
 
     nothing = jnp.zeros((height, width), jnp.float32)
-    (total, weight), _ = jax.lax.scan(average, (nothing, nothing), (pictures.picture, pictures.after))
+    (total, weight), _ = jax.lax.scan(average, (nothing, nothing), (pictures, after))
     reference = total / jnp.maximum(weight, 1e-6)
 
     def compare(sums: tuple[Array, Array], one: tuple[Array, Array]):
@@ -274,7 +279,7 @@ def _sides(
         return (sums[0] + side * difference[None], sums[1] + side), None
 
     neither = jnp.zeros((2, height, width), jnp.float32)
-    (total, weight), _ = jax.lax.scan(compare, (neither, neither), (pictures.picture, pictures.after))
+    (total, weight), _ = jax.lax.scan(compare, (neither, neither), (pictures, after))
     # Out of view: nothing is known, neither for nor against.
     return jnp.where(weight > 0.5, total / jnp.maximum(weight, 1e-6), _ENOUGH / 2)
 
@@ -286,14 +291,14 @@ def _look_up(fields: Float[Array, "c h w"], position: Float[Array, "n 2 h w"]) -
 
 def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
     """How many other layers each is in front of: where two come to lie on one pixel, which of them does it show?"""
-    sharp = presmoothed(pictures, _SHARPNESS)
+    sharp = pictures.presmoothed(_SHARPNESS)
     number, some = len(layers.depth), slice(None, None, _EVERY)
     near = (jnp.abs(sharp.after) <= 10).astype(jnp.float32)
     shown, there = [], []
     for k in range(number):
         velocity, acceleration = jnp.asarray(layers.velocity[k]), jnp.asarray(layers.acceleration[k])
         origin = inverse(velocity, acceleration, sharp.after[some])
-        key_picture = drift(sharp.picture, sharp.after, near, velocity, acceleration).mean
+        key_picture = drift(sharp.picture, sharp.after, near, (velocity, acceleration)).mean
         membership = jnp.asarray(layers.label == k, jnp.float32)
         both = jnp.stack([key_picture, membership])
         looked_up = np.asarray(_look_up(both, origin))

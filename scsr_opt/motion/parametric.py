@@ -10,11 +10,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
-from scipy.ndimage import gaussian_filter
+from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.motion.alignment import Stretches
-from scsr_opt.motion.trajectory import Motion
+from scsr_opt.motion.trajectory import Motion, bilinear
 
 # (frames from the key frame that take part, presmoothing in sensor pixels, most Gauss–Newton steps): from near and
 # blurred to everything and sharp.
@@ -84,21 +83,18 @@ def parametric(
             continue
         begin, end = int(near[0]), int(near[-1]) + 1
         last = reach == np.inf
-        blurred = np.zeros(pictures.picture.shape, np.float32)
-        blurred[begin:end] = gaussian_filter(
-            np.asarray(pictures.picture[begin:end]), sigma, axes=(1, 2), mode="nearest"
-        )
+        blurred = pictures.presmoothed(sigma).picture
 
         def fit(
             numbers: Float[np.ndarray, "2 8"],
             active: Bool[np.ndarray, "2 8"],
-            blurred: Float[np.ndarray, "n h w"] = blurred,
+            blurred: Float[Array, "n h w"] = blurred,
             interval: tuple[int, int] = (begin, end),
             steps: int = steps,
             enough: float = _SMALL * sigma * (0.1 if last else 1.0),
         ) -> tuple[Float[np.ndarray, "2 8"], "_Votes"]:
             found, votes = _fit(
-                jnp.asarray(blurred), pictures.after, jnp.asarray(interval), points, jnp.asarray(numbers),
+                blurred, pictures.after, jnp.asarray(interval), points, jnp.asarray(numbers),
                 jnp.asarray(active), jnp.asarray(steps), jnp.asarray(enough, jnp.float32),
                 jnp.asarray(majority, jnp.float32),
             )  # fmt: skip
@@ -206,35 +202,30 @@ def _fit(
 
     Which pictures and numbers take part is data, so that one compilation serves for all.
     """
-    count = points.region.size
     longest = jnp.maximum(jnp.max(jnp.abs(after[jnp.stack([interval[0], interval[1] - 1])])), 1)
     on = active.reshape(-1)
     key_picture = pictures[jnp.argmin(jnp.abs(after))]
-    about, _, _ = _value_and_slope(key_picture, jnp.asarray(points.position))
+    about = bilinear(key_picture[None], *jnp.asarray(points.position))[0]
 
     def equations(numbers: Float[Array, "2 8"]) -> tuple[Array, Array]:
         velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
 
-        def add(b: Array, sums: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            tau = after[b]
-            where = jnp.asarray(points.position) + tau * velocity + 0.5 * tau**2 * acceleration
-            value, slope, inside = _value_and_slope(pictures[b], where)
-            value = (value - about) * inside
-            times, values, slopes = sums
-            times = times + inside[None] * (tau ** jnp.arange(5, dtype=tau.dtype))[:, None]
-            basis = jnp.stack([jnp.ones_like(tau), tau, tau**2 / 2])[:, None] * value[None]
-            values = values + jnp.concatenate([basis, (value * value)[None]])
-            return times, values, slopes + slope * inside[None]
-
-        start = tuple(jnp.zeros((k, count), pictures.dtype) for k in (5, 4, 2))
-        times, values, slopes = jax.lax.fori_loop(interval[0], interval[1], add, start)
+        tau = after[:, None]
+        row, column = (
+            points.position[k][None] + tau * velocity[k][None] + 0.5 * tau**2 * acceleration[k][None] for k in (0, 1)
+        )
+        value, slope, inside = _value_and_slope(pictures, row, column, interval)
+        value = (value - about[None]) * inside
+        times = (after[None] ** jnp.arange(5, dtype=after.dtype)[:, None]) @ inside
+        values = jnp.stack([jnp.ones_like(after), after, after**2 / 2]) @ value
+        slopes = (slope * inside[None]).sum(1)
         # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
         seen = jnp.maximum(times[0], 1e-6)
         first = jnp.stack([times[1], times[2] / 2])
         change = values[1:3] - first * (values[0] / seen)[None]
         square = jnp.stack([jnp.stack([times[2], times[3] / 2]), jnp.stack([times[3] / 2, times[4] / 4])])
         spread = square - first[:, None] * first[None] / seen[None, None]
-        mismatch = jnp.maximum(values[3] - values[0] ** 2 / seen, 0) / seen
+        mismatch = jnp.maximum((value**2).sum(0) - values[0] ** 2 / seen, 0) / seen
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
         usual = jnp.nanquantile(jnp.where(points.region > 0, mismatch, jnp.nan), majority)
         trust = points.region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
@@ -269,18 +260,25 @@ def _fit(
 
 
 def _value_and_slope(
-    picture: Shaped[Array, "h w"], position: Float[Array, "2 n"]
-) -> tuple[Float[Array, " n"], Float[Array, "2 n"], Float[Array, " n"]]:
-    """Bilinear interpolation, its slope, and 1 where the position lies in the picture (0 elsewhere)."""
-    height, width = picture.shape
-    row, column = position
-    inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+    pictures: Float[Array, "n h w"], row: Float[Array, "n m"], column: Float[Array, "n m"], interval: Int[Array, " 2"]
+) -> tuple[Float[Array, "n m"], Float[Array, "2 n m"], Float[Array, "n m"]]:
+    """Bilinear interpolation in each picture of the interval, its slope, and 1 where the position lies in the picture
+    (0 elsewhere, and in the other pictures)."""
+    number, height, width = pictures.shape
+    taken = jnp.arange(number)
+    taken = ((taken >= interval[0]) & (taken < interval[1]))[:, None]
+    inside = taken & (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
     row, column = jnp.where(inside, row, 0), jnp.where(inside, column, 0)
-    top = jnp.minimum(row.astype(jnp.int32), height - 2)
-    left = jnp.minimum(column.astype(jnp.int32), width - 2)
+    top, left = (jnp.minimum(v.astype(jnp.int32), n - 2) for v, n in ((row, height), (column, width)))
     down, right = row - top.astype(row.dtype), column - left.astype(row.dtype)
-    corner, flat = top * width + left, picture.reshape(-1)
-    a, b, c, d = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
+
+    # The values around are looked up picture by picture and kept: looked up anew for each sum, they took twice as long.
+    def look_up(b: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
+        flat, corner = pictures[b].reshape(-1), top[b] * width + left[b]
+        four = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
+        return tuple(every.at[b].set(one) for every, one in zip(found, four, strict=True))
+
+    a, b, c, d = jax.lax.fori_loop(interval[0], interval[1], look_up, (jnp.zeros_like(row),) * 4)
     above, below = a + right * (b - a), c + right * (d - c)
     slope = jnp.stack([below - above, (1 - down) * (b - a) + down * (d - c)])
     return above + down * (below - above), slope, inside.astype(row.dtype)

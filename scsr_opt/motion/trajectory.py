@@ -271,6 +271,10 @@ def _front(
     return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
 
 
+# Fixed-point iterations of `inverse`, and the change, sensor pixels, after which no more are done.
+_REFINEMENTS, _STILL = 8, 1e-4
+
+
 @jax.jit
 def inverse(
     velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
@@ -278,7 +282,8 @@ def inverse(
     """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`, by fixed-point iteration from q = p.
 
     The error shrinks by ‖∇d‖ each time, which is the relative change of displacement from pixel to pixel: well under ½
-    but for motion boundaries, where the inverse is not unique anyway.
+    but for motion boundaries, where the inverse is not unique anyway. It ends when nothing moves by `_STILL` any more,
+    or after `_REFINEMENTS`.
     """
     height, width = velocity.shape[1:]
     rows, columns = jnp.meshgrid(
@@ -287,12 +292,18 @@ def inverse(
     field = jnp.concatenate([velocity, acceleration])
 
     def one(tau: Float[Array, ""]) -> Float[Array, "2 h w"]:
-        def refine(_: Array, q: Float[Array, "2 h w"]) -> Float[Array, "2 h w"]:
+        def refine(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            q, done, _ = carry
             here = bilinear(field, q[0], q[1])
             displacement = here[:2] * tau + here[2:] * (0.5 * tau**2)
-            return jnp.stack([rows, columns]) - displacement
+            better = jnp.stack([rows, columns]) - displacement
+            return better, done + 1, jnp.max(jnp.abs(better - q))
 
-        return jax.lax.fori_loop(0, 8, refine, jnp.stack([rows, columns]))
+        def go_on(carry: tuple[Array, Array, Array]) -> Array:
+            return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
+
+        begin = jnp.stack([rows, columns]), jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
+        return jax.lax.while_loop(go_on, refine, begin)[0]
 
     return jax.lax.map(one, after)
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from scsr_opt.motion.alignment import Stretches, presmoothed, smooth
+from scsr_opt.motion.alignment import Stretches, smooth
 from scsr_opt.motion.trajectory import Motion, Trust, bilinear
 
 # The pictures are compared after this presmoothing (sensor pixels): coarse enough that aliasing between pixels does not
@@ -38,7 +38,8 @@ def trusted(pictures: Stretches, motion: Motion) -> Motion:
     interval = 1 / max(float(np.median(np.asarray(pictures.firing))), 1e-3) if pictures.firing is not None else 1.0
     lag = int(np.clip(np.ceil(interval / (after[1] - after[0])), 1, after.size // 2))
     share = _share(
-        presmoothed(pictures, _SHARPNESS),
+        pictures.presmoothed(_SHARPNESS).picture,
+        pictures.after,
         jnp.asarray(motion.velocity),
         jnp.asarray(motion.acceleration),
         jnp.asarray(lag),
@@ -49,9 +50,13 @@ def trusted(pictures: Stretches, motion: Motion) -> Motion:
 
 @jax.jit
 def _share(
-    pictures: Stretches, velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], lag: Int[Array, ""]
+    pictures: Float[Array, "n h w"],
+    moments: Float[Array, " n"],
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+    lag: Int[Array, ""],
 ) -> Float[Array, "n h w"]:
-    height, width = pictures.picture.shape[1:]
+    height, width = pictures.shape[1:]
     rows, columns = jnp.meshgrid(
         jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
     )
@@ -63,12 +68,10 @@ def _share(
         inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
         return bilinear(picture[None], row, column)[0], inside.astype(jnp.float32)
 
-    values, inside = jax.lax.map(along, (pictures.picture, pictures.after))
-    near = jnp.exp(-0.5 * (pictures.after / _PRESENT) ** 2)[:, None, None] * inside
+    values, inside = jax.lax.map(along, (pictures, moments))
+    near = jnp.exp(-0.5 * (moments / _PRESENT) ** 2)[:, None, None] * inside
     # The nearest moment always takes part, however far it is.
-    near = (
-        near + 1e-6 * (jnp.abs(pictures.after) == jnp.min(jnp.abs(pictures.after))).astype(jnp.float32)[:, None, None]
-    )
+    near = near + 1e-6 * (jnp.abs(moments) == jnp.min(jnp.abs(moments))).astype(jnp.float32)[:, None, None]
     present = (near * values).sum(0) / near.sum(0)
 
     # The noise, from pictures a spike interval apart: a geometric mean, so that a few moments that disagree for another

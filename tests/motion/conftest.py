@@ -1,5 +1,6 @@
 """Recordings with known motion, made once."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -49,7 +50,7 @@ def _central(some: Stretches, number: int) -> Stretches:
     """The `number` pictures in the middle: with always the same number, everything is compiled only once."""
     first = (some.after.shape[0] - number) // 2
     part = slice(first, first + number)
-    return some._replace(picture=some.picture[part], after=some.after[part])
+    return replace(some, picture=some.picture[part], after=some.after[part])
 
 
 def _error(found: np.ndarray, name: str) -> np.ndarray:

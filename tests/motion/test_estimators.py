@@ -192,7 +192,8 @@ def test_a_velocity_handed_in():
 
 
 def test_one_picture_cannot_be_compared(pictures):
-    one = Stretches(*(part[:1] for part in pictures("static")[:2]))
+    whole = pictures("static")
+    one = Stretches(whole.picture[:1], whole.after[:1])
     for estimator in (PhaseCorrelation(), ILK(), TVL1()):
         with pytest.raises(InputError, match="at least two"):
             estimator(one)

@@ -105,10 +105,10 @@ def make_inputs(
     away = jnp.abs(jnp.asarray(taken.padded.start + taken.padded.stop) / 2 - stream.key)
     members = members_of(away, boundaries)
     groups = [accumulate(placed, robust=member) for member in members]
-    step_size = 1 / lipschitz_bound(term)
+    step_size, noise = 1 / lipschitz_bound(term), noise_of_mean(stream)
     if placed.positions > 1:
         prior = HuberTotalVariation()
-        strength = jnp.asarray(strength_of_noise(stream, scale, prior), jnp.float32)
+        strength = jnp.asarray(strength_of_noise(noise, scale, prior), jnp.float32)
         touched = Problem(with_exposure(term, placed, image), prior, strength)
         touch = jnp.asarray(run(FISTA(_TOUCH, 0.0), touched, image).image)
         term = with_exposure(term, placed, touch)
@@ -121,7 +121,7 @@ def make_inputs(
         jnp.stack([g.target for g in groups]) if groups else jnp.zeros((0, *term.shape)),
         image,
         step_size,
-        jnp.asarray(noise_of_mean(stream), jnp.float32),
+        jnp.asarray(noise, jnp.float32),
     )
 
 

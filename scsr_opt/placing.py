@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
@@ -71,11 +71,13 @@ class Measurements(NamedTuple):
     **Fields:**
     - `samples`: (n,), as measured, weighted by their share of the recording.
     - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
+    - `merged_for`: (h, w), frames over which the intervals of a pixel were merged.
     """
 
     samples: Samples
     padded: Samples
     placed: PlacedSamples
+    merged_for: Int[np.ndarray, "h w"]
 
     def with_gain(self, gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], noise: float) -> "Measurements":
         """The samples as measured over these gains, at the same places; pixels whose gain is not known count less.
@@ -87,7 +89,7 @@ class Measurements(NamedTuple):
         placed = eqx.tree_at(
             lambda p: (p.value, p.weight), self.placed, (jnp.asarray(padded.value), self.placed.weight * share)
         )
-        return Measurements(self.samples, padded, placed)
+        return self._replace(padded=padded, placed=placed)
 
     def gain(self, stream: Stream, motion: Motion, blurred: Float[Array, "H W"]) -> Float[np.ndarray, "h w"]:
         """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`)."""
@@ -108,6 +110,7 @@ def measured(
     scale: int,
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
+    merge: bool = True,
 ) -> Measurements:
     """The measurements of a recording, placed along a motion.
 
@@ -116,13 +119,16 @@ def measured(
     - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
+    - `merge`: whether intervals are merged where nothing moves; the picture is the same.
     """
     frames, height, width = stream.spikes.shape
     path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
-    with np.errstate(divide="ignore", over="ignore"):
-        # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
-        still_for = _MERGED_MOTION / (scale * path.fastest)
-    still_for = np.clip(np.nan_to_num(still_for), 1, frames).astype(np.int32)
+    still_for = np.ones((height, width), np.int32)
+    if merge:
+        with np.errstate(divide="ignore", over="ignore"):
+            # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
+            still = _MERGED_MOTION / (scale * path.fastest)
+        still_for = np.clip(np.nan_to_num(still), 1, frames).astype(np.int32)
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
@@ -133,7 +139,7 @@ def measured(
         positions=_positions(samples, motion, scale),
         shape=(scale * height, scale * width),
     )
-    return Measurements(samples, padded, placed)
+    return Measurements(samples, padded, placed, still_for)
 
 
 def _positions(samples: Samples, motion: Motion, scale: int) -> int:

@@ -17,7 +17,7 @@ from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
-from scsr_opt.motion.estimate import Estimator, estimate_motion, filled, given
+from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion, filled, given
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.blur import Blur
@@ -29,6 +29,7 @@ from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.rounds import Rounds
+from scsr_opt.skip import Plan, plan_of
 from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
@@ -59,6 +60,7 @@ def reconstruct(
     robust: Loss | None = None,
     solver: Solver | None = None,
     refine: SupportsIndex = 0,
+    skip: bool = True,
     state: Any = None,
     progress: Progress | None = None,
     keep_images: bool = False,
@@ -87,6 +89,8 @@ def reconstruct(
     - `solver`: `FISTA` if not given. Its limit of iterations holds for the first solve and, where exposures are long
       enough to need them or `robust` is given, for each of up to ten corrections after it.
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
+    - `skip`: leave out the work that this scene does not need (`scsr_opt.skip`). False does all of it: motion of every
+      kind over the whole sensor, and every interval as a sample of its own; for comparison.
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.
@@ -123,7 +127,7 @@ def reconstruct(
             stream.spikes,
             key=stream.key,
             white_rate=stream.white_rate,
-            estimator=velocity,
+            estimator=Automatic(skip=skip) if velocity is None else velocity,
             bad_pixels=stream.bad_pixels,
         )
     else:
@@ -131,17 +135,20 @@ def reconstruct(
     clock.lap("motion")
 
     measuring = Intervals() if samples is None else samples
-    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains)
+    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip)
     used = int(jnp.count_nonzero(taken.placed.weight))
     if used == 0 or not stream.spikes.any():
         stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
         return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion.velocity, motion.confidence)
+    noise = noise_of_mean(stream)
+    plan = _plan(stream, motion, taken, noise) if skip else None
     clock.lap("samples")
 
+    by_noise = strength_of_noise(noise, scale, prior) if strength is None else strength
     rounds = Rounds(
         solver=FISTA() if solver is None else solver,
         prior=prior,
-        strength=jnp.asarray(strength_of_noise(stream, scale, prior) if strength is None else strength, jnp.float32),
+        strength=jnp.asarray(by_noise, jnp.float32),
         optics=lens,
         robust=robust,
         progress=progress,
@@ -163,6 +170,7 @@ def reconstruct(
             measuring=measuring,
             gain=gains,
             optics=rounds.optics,
+            noise=noise,
         )
         rounds = replace(rounds, strength=jnp.asarray(λ, jnp.float32))
     clock.lap("strength")
@@ -177,7 +185,7 @@ def reconstruct(
         if gain == "auto" and learned["gain_spread"] < FIXED_PATTERN:
             break
         gains = blind_gains
-        taken = measured_as.with_gain(gains, known, noise_of_mean(stream))
+        taken = measured_as.with_gain(gains, known, noise)
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     for _ in range(rounds_of_motion):
@@ -185,9 +193,9 @@ def reconstruct(
             break
         better = refined(motion, found.blurred, taken.padded, taken.placed, key=stream.key)
         motion = replace(better, trust=motion.trust)  # no more than what it was refined from
-        taken = measured(stream, motion, scale=scale, measuring=measuring, gain=None if blind else gains)
+        taken = measured(stream, motion, scale=scale, measuring=measuring, gain=None if blind else gains, merge=skip)
         if blind and gains is not None:
-            taken = taken.with_gain(gains, known, noise_of_mean(stream))
+            taken = taken.with_gain(gains, known, noise)
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     clock.lap("solving")
@@ -200,10 +208,26 @@ def reconstruct(
         "objective": stages[-1].objective,
         "speed_max": float(motion.speed.max()),
         **learned,
+        **({} if plan is None else {"plan": plan.numbers}),
         "seconds": clock.laps,
     }
     stages = tuple(replace(stage, number=n) for n, stage in enumerate(stages, 1))
-    return Solution(outcome.image, stages, outcome.result, stats, motion.velocity, motion.confidence, outcome.state)
+    return Solution(
+        outcome.image, stages, outcome.result, stats, motion.velocity, motion.confidence, outcome.state, plan
+    )
+
+
+def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float) -> Plan:
+    samples = taken.samples
+    return plan_of(
+        stream.spikes,
+        motion,
+        taken.merged_for,
+        pixel=samples.row * stream.spikes.shape[2] + samples.column,
+        light=np.asarray(samples.weight),
+        used=np.asarray(taken.placed.weight)[: samples.row.size],
+        noise=noise * stream.white_rate,
+    )
 
 
 class _Clock:

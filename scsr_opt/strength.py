@@ -49,9 +49,9 @@ _LOWEST, _HIGHEST = 0.5, 16.0
 _ITERATIONS, _TOLERANCE = 60, 5e-4
 
 
-def strength_of_noise(stream: Stream, scale: int, prior: Prior) -> float:
-    """λ from how much neighbouring intervals of a pixel differ. **Raises:** as `relative_strength`."""
-    return _SMOOTHING * noise_of_mean(stream) * 2 / scale * relative_strength(prior)
+def strength_of_noise(noise: float, scale: int, prior: Prior) -> float:
+    """λ from how much neighbouring intervals of a pixel differ (`noise_of_mean`). **Raises:** as `relative_strength`."""
+    return _SMOOTHING * noise * 2 / scale * relative_strength(prior)
 
 
 def relative_strength(prior: Prior) -> float:
@@ -102,6 +102,7 @@ def validated_strength(
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
     optics: LinearOperator | None = None,
+    noise: float | None = None,
 ) -> float:
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
 
@@ -110,11 +111,12 @@ def validated_strength(
     that part the whole picture, as its blur is made for one size.
 
     **Arguments:** `positions` along an exposure, `prior`, `solver`, `measuring`, `gain` and `optics` as for the
-    reconstruction; `FISTA` stands in for solvers that use the prior's proximal step, as it does.
+    reconstruction; `FISTA` stands in for solvers that use the prior's proximal step, as it does. `noise`: what
+    `noise_of_mean` finds, if that is known.
 
     **Raises:** as `relative_strength`.
     """
-    least = strength_of_noise(stream, scale, prior)
+    least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
     rows, columns = (_middle(length, side) for length in stream.spikes.shape[1:])
     part = Stream(

@@ -13,7 +13,7 @@ from scsr_opt.motion import Motion
 from scsr_opt.placing import Stream
 from scsr_opt.priors import BilateralTotalVariation, Bounded, Prior, TotalVariation, WaveletL1
 from scsr_opt.solvers import FISTA, LBFGS, Solver
-from scsr_opt.strength import _held_out, _middle, _vertex, strength_of_noise, validated_strength
+from scsr_opt.strength import _held_out, _middle, _vertex, noise_of_mean, strength_of_noise, validated_strength
 
 SCALE = 2
 
@@ -37,12 +37,12 @@ def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
     """Smooth and dim: the best strength is several times that of the noise between neighbours (measured: 4)."""
     rows, columns = np.mgrid[0:96, 0:96] / 95.0
     stream = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
-    assert validated(stream) > 2 * strength_of_noise(stream, SCALE, TotalVariation())
+    assert validated(stream) > 2 * strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
 
 
 def test_a_textured_picture_by_day_is_left_near_the_strength_of_its_noise():
     stream = still(data.gravel()[:96, :96], photons=1000.0)
-    least = strength_of_noise(stream, SCALE, TotalVariation())
+    least = strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
     assert 0.69 * least <= validated(stream) < 1.5 * least
 
 
@@ -89,7 +89,7 @@ def test_a_smooth_prior_needs_no_proximal_step(bricks):
 
 def test_too_few_samples_leave_the_strength_of_the_noise():
     stream = Stream(np.ones((9, 3, 3), np.uint8), 4, 0.6, None)
-    assert validated(stream) == strength_of_noise(stream, SCALE, TotalVariation())
+    assert validated(stream) == strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
 
 
 def test_a_fifth_of_every_pixels_time_is_held_out():

@@ -19,6 +19,8 @@ All are weighted by duration. Intervals of one pixel share their ends, so their 
 weighted by duration they add up to the exact light between the first and the last spike.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
@@ -81,7 +83,7 @@ def spike_intervals(
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ends: float | int = ENDS,
 ) -> Samples:
-    """Samples from the intervals between spikes, then those from the ends (see above).
+    """Samples from the intervals between spikes, pixel by pixel, then those from the ends (see above).
 
     Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in
     each block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing
@@ -91,7 +93,7 @@ def spike_intervals(
     **Arguments:**
     - `spikes`: (T, h, w), 0 or 1.
     - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
-    - `shortest`: frames, at least 1; one number or one per pixel.
+    - `shortest`: frames, at least 1; one number or one per pixel. Pixels with T or more come after the others.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
     - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
@@ -103,38 +105,17 @@ def spike_intervals(
     if not 0 <= ends <= 1:
         raise InputError(f"ends is {ends!r}, but it must be a number from 0 (left out) to 1 (as good as intervals).")
     frames, height, width = spikes.shape
-    by_pixel = np.ascontiguousarray(np.moveaxis(spikes, 0, -1)).reshape(height * width, frames).astype(bool, copy=False)
-    if bad_pixels is not None:
-        by_pixel = by_pixel & ~bad_pixels.reshape(-1, 1)
-    where = np.flatnonzero(by_pixel)  # ordered by pixel, then by time
-    pixel, time = where // frames, where % frames
-    order = np.arange(where.size)
-    # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
-    every_frame = np.zeros(where.size + 1, bool)
-    every_frame[1:-1] = (time[1:] - time[:-1] == 1) & (pixel[1:] == pixel[:-1])
-    within = every_frame[1:] & every_frame[:-1] & (time % _RUN != 0)
-    pixel, time, order = pixel[~within], time[~within], order[~within]
-    if np.any(np.asarray(shortest) > 1):
-        number = time.size
-        block = time // np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)[pixel]
-        last = np.empty(number, bool)  # the last spike of a pixel ends its last interval, however short
-        is_end = np.empty(number, bool)
-        if number:
-            is_end[0] = last[-1] = True
-            is_end[1:] = (block[1:] != block[:-1]) | (pixel[1:] != pixel[:-1])
-            last[:-1] = pixel[1:] != pixel[:-1]
-            is_end |= last
-        pixel, time, order = pixel[is_end], time[is_end], order[is_end]
-    same = pixel[1:] == pixel[:-1]
-    pixel, begin, end = pixel[1:][same], time[:-1][same], time[1:][same]
-    spikes_counted = (order[1:] - order[:-1])[same]
-    factor = np.ones(pixel.size, np.float32)
+    good = np.ones(height * width, bool) if bad_pixels is None else ~bad_pixels.reshape(-1)
+    known = _Known.of(spikes.astype(bool, copy=False).reshape(frames, -1))
+    merged = np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)
+    # Of pixels that are still all the time, only the first and the last spike and their number count.
+    still = merged >= frames
+    parts = [_between(spikes, np.flatnonzero(good & ~still), merged), known.between(np.flatnonzero(good & still))]
+    number = sum(part[0].size for part in parts)
     if ends > 0:
-        at_end = _ends(by_pixel, None if bad_pixels is None else bad_pixels.reshape(-1))
-        pixel, begin, end, spikes_counted = (
-            np.concatenate(pair) for pair in zip((pixel, begin, end, spikes_counted), at_end, strict=True)
-        )
-        factor = np.append(factor, np.full(at_end[0].size, ends, np.float32))
+        parts.append(known.ends(good))
+    pixel, begin, end, spikes_counted = (np.concatenate(each) for each in zip(*parts, strict=True))
+    factor = np.where(np.arange(pixel.size) < number, np.float32(1), np.float32(ends))
     duration = (end - begin).astype(np.float32)
     return Samples(
         row=(pixel // width).astype(np.int32),
@@ -146,21 +127,70 @@ def spike_intervals(
     )
 
 
-def _ends(by_pixel: Bool[np.ndarray, "pixels T"], bad: Bool[np.ndarray, " pixels"] | None) -> tuple[np.ndarray, ...]:
-    """Pixel, start and stop (frame t covers [t − ½, t + ½]) and thresholds gathered, of all ends."""
-    frames = by_pixel.shape[1]
-    fired = by_pixel.any(1)
-    good = np.ones_like(fired) if bad is None else ~bad
-    lit, dark = np.flatnonzero(fired & good), np.flatnonzero(~fired & good)
-    first = by_pixel[lit].argmax(1)
-    last = frames - 1 - by_pixel[lit, ::-1].argmax(1)
-    opening, closing = np.full(lit.size, -0.5), np.full(lit.size, frames - 0.5)
-    return (
-        np.concatenate([lit, lit, dark]),
-        np.concatenate([opening, last, np.full(dark.size, -0.5)]),
-        np.concatenate([first, closing, np.full(dark.size, frames - 0.5)]),
-        np.concatenate([np.full(2 * lit.size, 0.5), np.zeros(dark.size)]),
-    )
+def _between(
+    spikes: Shaped[np.ndarray, "T h w"], pixels: Int[np.ndarray, " pixels"], shortest: Int[np.ndarray, " hw"]
+) -> tuple[np.ndarray, ...]:
+    """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
+    frames = spikes.shape[0]
+    by_pixel = np.ascontiguousarray(spikes.reshape(frames, -1)[:, pixels].T).astype(bool, copy=False)
+    where = np.flatnonzero(by_pixel)  # ordered by pixel, then by time
+    pixel, time = where // frames, where % frames
+    order = np.arange(where.size)
+    # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
+    every_frame = np.zeros(where.size + 1, bool)
+    every_frame[1:-1] = (time[1:] - time[:-1] == 1) & (pixel[1:] == pixel[:-1])
+    within = every_frame[1:] & every_frame[:-1] & (time % _RUN != 0)
+    pixel, time, order = pixel[~within], time[~within], order[~within]
+    if np.any(shortest[pixels] > 1):
+        number = time.size
+        block = time // shortest[pixels][pixel]
+        last = np.empty(number, bool)  # the last spike of a pixel ends its last interval, however short
+        is_end = np.empty(number, bool)
+        if number:
+            is_end[0] = last[-1] = True
+            is_end[1:] = (block[1:] != block[:-1]) | (pixel[1:] != pixel[:-1])
+            last[:-1] = pixel[1:] != pixel[:-1]
+            is_end |= last
+        pixel, time, order = pixel[is_end], time[is_end], order[is_end]
+    same = pixel[1:] == pixel[:-1]
+    return pixels[pixel[1:][same]], time[:-1][same], time[1:][same], (order[1:] - order[:-1])[same]
+
+
+class _Known(NamedTuple):
+    """Of every pixel: its first and last spike (frames; where there is none, T and −1), and how many there are."""
+
+    first: Int[np.ndarray, " pixels"]
+    last: Int[np.ndarray, " pixels"]
+    count: Int[np.ndarray, " pixels"]
+    frames: int
+
+    @classmethod
+    def of(cls, fired: Bool[np.ndarray, "T pixels"]) -> "_Known":
+        frames = len(fired)
+        kind = np.int16 if frames < 2**15 else np.int32
+        # From the ends inwards, so that each needs one maximum a frame.
+        since_first, last, count = (np.zeros(fired.shape[1], kind) for _ in range(3))
+        for t, now in enumerate(fired.view(np.int8)):
+            np.maximum(last, now * kind(t + 1), out=last)
+            np.maximum(since_first, now * kind(frames - t), out=since_first)
+            count += now
+        return cls(frames - since_first.astype(np.intp), last.astype(np.intp) - 1, count.astype(np.intp), frames)
+
+    def between(self, pixels: Int[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
+        """From the first to the last spike: pixel, start, stop and thresholds gathered."""
+        some = pixels[self.count[pixels] >= 2]
+        return some, self.first[some], self.last[some], self.count[some] - 1
+
+    def ends(self, good: Bool[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
+        """The same of all ends; frame t covers [t − ½, t + ½]."""
+        lit, dark = np.flatnonzero(good & (self.count > 0)), np.flatnonzero(good & (self.count == 0))
+        opening, closing = np.full(lit.size, -0.5), np.full(lit.size, self.frames - 0.5)
+        return (
+            np.concatenate([lit, lit, dark]),
+            np.concatenate([opening, self.last[lit], np.full(dark.size, -0.5)]),
+            np.concatenate([self.first[lit], closing, np.full(dark.size, self.frames - 0.5)]),
+            np.concatenate([np.full(2 * lit.size, 0.5), np.zeros(dark.size)]),
+        )
 
 
 def windows(

@@ -41,6 +41,9 @@ def solve(
         Path | None,
         Parameter(help="Also write a figure: playback beside result, motion, convergence (.png, .pdf, .svg)."),
     ] = None,
+    explain: Annotated[
+        bool, Parameter(negative="", help="Say what was skipped and why; the figure then shows where.")
+    ] = False,
     solving: Solving | None = None,
     reading: Reading | None = None,
     quiet: Quiet = False,
@@ -89,13 +92,14 @@ def solve(
         return 1
     _write(output, solution, bits=bits, gamma=gamma, scale=scale, key=moment)
     if figure is not None:
-        _draw(figure, recording, solution, scale=scale, key=moment)
+        _draw(figure, recording, solution, scale=scale, key=moment, explain=explain)
     if not quiet:
         print(
             "\n".join(
                 [
                     *said.lines(),
                     *_learned(solution.stats),
+                    *(_explained(solution) if explain else []),
                     *(str(path) for path in (output, report, figure) if path is not None),
                 ]
             )
@@ -113,6 +117,13 @@ def _learned(stats: dict[str, Any]) -> list[str]:
     return lines
 
 
+def _explained(solution: Any) -> list[str]:
+    if solution.plan is None:
+        return ["Nothing was skipped."]
+    parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.stats["seconds"].items())
+    return [*solution.plan.lines(), f"Time: {parts}."]
+
+
 def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> None:
     if path is not None and path.suffix.lower() not in endings:
         raise InputError(f"--{option} {path} must end in {' or '.join(endings)}.")
@@ -126,10 +137,15 @@ def _write(output: Path, solution: Any, *, bits: int | None, gamma: float, scale
     write_picture(output, solution.image, bits=bits, gamma=gamma, extras=known)
 
 
-def _draw(path: Path, recording: "scsr_opt.camera.Recording", solution: Any, *, scale: int, key: int) -> None:
-    from scsr_opt.report.figures import figure
+def _draw(
+    path: Path, recording: "scsr_opt.camera.Recording", solution: Any, *, scale: int, key: int, explain: bool
+) -> None:
+    from scsr_opt.report.figures import figure, plan_figure
     from scsr_opt.report.files import whole_file
 
-    drawn = figure(recording, solution, scale=scale, key=key, title=recording.name)
+    if explain and solution.plan is not None:
+        drawn = plan_figure(solution, scale=scale, title=recording.name)
+    else:
+        drawn = figure(recording, solution, scale=scale, key=key, title=recording.name)
     with whole_file(path) as temporary:
         drawn.savefig(temporary)

@@ -99,6 +99,14 @@ class Solving:
         Parameter(help="Iterations at most, in each solve. Default: 200, for condat-vu and chambolle-pock 400."),
     ] = None
 
+    skip: Annotated[
+        bool,
+        Parameter(
+            help="Leave out the work that this scene does not need; --no-skip does all of it, to compare. --explain "
+            "says what was left out."
+        ),
+    ] = True
+
     def check(self) -> None:
         """**Raises:** `InputError` for what is wrong whatever the recording."""
         if self.iterations is not None and self.iterations < 1:
@@ -125,6 +133,7 @@ class Solving:
             "strength": self.strength,
             "solver": self._solver(),
             "refine": self.refine or None,
+            "skip": None if self.skip else False,
         }
         return {name: value for name, value in given.items() if value is not None}
 

@@ -108,7 +108,7 @@ def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w
     """
     rests = cast(np.ndarray, ndimage.binary_opening(rests, iterations=2))  # single pixels may be wrong
     places = np.argwhere(rests)
-    if len(places) < 3 or (np.ptp(places, axis=0) == 0).any():
+    if not moving.any() or len(places) < 3 or (np.ptp(places, axis=0) == 0).any():
         return False
     try:
         sides = ConvexHull(places).equations

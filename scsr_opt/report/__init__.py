@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
-    from scsr_opt.report.figures import bicubic, compare, detailed_part, figure
+    from scsr_opt.report.figures import bicubic, compare, detailed_part, figure, plan_figure
     from scsr_opt.report.files import check_writable, whole_file
     from scsr_opt.report.pictures import PictureFormat, check_film, quantise, read_picture, write_film, write_picture
     from scsr_opt.report.progress import RichProgress
     from scsr_opt.report.summary import Report, versions
 
 _MODULES = {
-    "figures": ("bicubic", "compare", "detailed_part", "figure"),
+    "figures": ("bicubic", "compare", "detailed_part", "figure", "plan_figure"),
     "files": ("check_writable", "whole_file"),
     "colours": ("colour_wheel", "full_speed", "motion_colours"),
     "pictures": ("PictureFormat", "check_film", "quantise", "read_picture", "write_film", "write_picture"),
@@ -41,6 +41,7 @@ __all__ = [
     "figure",
     "full_speed",
     "motion_colours",
+    "plan_figure",
     "quantise",
     "read_picture",
     "versions",

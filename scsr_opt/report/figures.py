@@ -19,7 +19,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from scsr_opt.errors import InputError
 from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
+from scsr_opt.skip import Kind
 from scsr_opt.solvers.solution import Solution
 
 _INK = "#222222"
@@ -140,6 +142,59 @@ def compare(
             across = min(bottom * width / height, 0.36 * page)
             _motion(drawn, velocity, shape, _MARGIN, third, across)
             _convergence(drawn, solution, page / 2 + 0.6, third, page / 2 - 0.6 - _MARGIN, bottom)
+    return drawn
+
+
+# One colour for each kind of tile, apart in lightness too; what rests is left as it is.
+_OF_KIND = {
+    Kind.STATIC: None,
+    Kind.UNIFORM: "#7f7f7f",
+    Kind.MOVING: "#c8102e",
+    Kind.DARK: "#1f4e9c",
+    Kind.FAST: "#e69f00",
+    Kind.SATURATED: "#56b4e9",
+}
+
+
+def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> Figure:
+    """What each tile of the scene asked for, in colour over the picture, and the reasons in words.
+
+    **Arguments:** `solution`: one with a `plan`; `scale`, that of its picture; `title`: over everything.
+
+    **Raises:** `InputError` if nothing was skipped.
+    """
+    plan = solution.plan
+    if plan is None:
+        raise InputError("This solution has no plan, as nothing was skipped: solve with skip=True for one.")
+    height, width = solution.image.shape
+    across = 7.0
+    tall = across * height / width
+    lines = plan.lines()
+    shown = [kind for kind in Kind if plan.share(kind) > 0]
+    top = _MARGIN + (_TITLE if title else 0)
+    with matplotlib.rc_context(_STYLE):
+        drawn = Figure(figsize=(across + 2 * _MARGIN, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
+        axes = _axes(drawn, _MARGIN, top, across, tall)
+        _picture(axes, solution.image, _white_level([solution.image]))
+        step = plan.tile * scale
+        for kind in shown:
+            for row, column in np.argwhere(plan.kind == kind):
+                colour = _OF_KIND[kind]
+                if colour is not None:
+                    place = (column * step - 0.5, row * step - 0.5)
+                    axes.add_patch(Rectangle(place, step, step, facecolor=colour, alpha=0.35, linewidth=0))
+        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+        if title:
+            axes.set_title(title, loc="left", fontsize=10)
+        below = _axes(drawn, _MARGIN, top + tall, across, 0.2 * (len(lines) + 1))
+        below.set_axis_off()
+        for number, line in enumerate(lines):
+            y = 1 - (number + 0.8) / (len(lines) + 1)
+            kind = next((kind for kind in shown if line.endswith(f"{kind.reason}.")), None)
+            if kind is not None and _OF_KIND[kind] is not None:
+                below.plot(0.008, y, "s", color=_OF_KIND[kind], alpha=0.6, markersize=7)
+            below.text(0.025, y, line, va="center", fontsize=8)
+        below.set(xlim=(0, 1), ylim=(0, 1))
     return drawn
 
 

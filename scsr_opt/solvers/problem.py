@@ -26,9 +26,8 @@ class Problem(eqx.Module):
 def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
     """A certain upper bound on ‖BᵀMB‖, the Lipschitz constant of f's gradient; 1 / it is a step size that always works.
 
-    B and M have no negative entries, so two steps of Collatz's bound do (`scsr_opt.operators.norm_bound`).
+    B and M have no negative entries, so four steps of Collatz's bound do (`scsr_opt.operators.norm_bound`).
     """
-    # norm_bound works on A*A and returns ‖A‖; handing it the normal operator N (symmetric) bounds ‖N‖ itself.
-    bound = norm_bound(data.normal, data.shape, iterations=2, dtype=data.target.dtype)
+    bound = norm_bound(data.normal, data.shape, iterations=4, symmetric=True, dtype=data.target.dtype)
     # Where no sample counts, f is constant, and every number is a bound. Of a tiny one the step would be 1e38 long.
     return jnp.where(bound < jnp.finfo(data.target.dtype).tiny, 1, bound)

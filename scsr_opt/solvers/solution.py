@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt.skip import Plan
+
 
 class Result(enum.Enum):
     """How a solve ended; the value is the sentence to show."""
@@ -74,6 +76,7 @@ class Solution:
     - `velocity`: (2, h, w) float32, sensor pixels per frame ([0] rows, [1] columns), the motion that was used.
     - `confidence`: (h, w) in [0, 1], how far that velocity can be trusted.
     - `state`: what is needed to go on from here (warm start).
+    - `plan`: what each part of the scene asked for (`scsr_opt.skip.Plan`); None where nothing was skipped.
     """
 
     image: Float[np.ndarray, "H W"]
@@ -83,3 +86,4 @@ class Solution:
     velocity: Float[np.ndarray, "2 h w"] | None = None
     confidence: Float[np.ndarray, "h w"] | None = None
     state: Any = None
+    plan: Plan | None = None

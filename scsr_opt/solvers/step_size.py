@@ -37,7 +37,7 @@ class StepSize(eqx.Module):
 class NormBound(StepSize):
     """β = 1 over a certain upper bound of L (Collatz; `lipschitz_bound`).
 
-    On pictures that were tried the bound is 0.04 to 6 % above L, for two applications of BᵀMB.
+    On pictures that were tried the bound is 0.04 to 6 % above L, for four applications of BᵀMB.
     """
 
     def first(self, problem: Problem) -> Float[Array, ""]:

@@ -56,7 +56,8 @@ def test_intervals_are_those_of_a_loop_over_pixels(spikes, shortest, first_frame
 def test_shortest_may_differ_from_pixel_to_pixel(spikes, data):
     shortest = data.draw(arrays(np.int32, spikes.shape[1:], elements=st.integers(1, 50)))
     found = spike_intervals(spikes, white_rate=RATE, shortest=shortest, ends=0)
-    np.testing.assert_allclose(rows(found), expected(spikes, shortest, 0), 1e-6)
+    # Pixels whose intervals are all merged come after the others.
+    np.testing.assert_allclose(sorted(rows(found)), sorted(expected(spikes, shortest, 0)), 1e-6)
 
 
 @given(spikes=recordings, shortest=st.integers(1, 50))

@@ -1,0 +1,173 @@
+"""What a scene doesn't need: which parts of a recording ask for how much work, and what that saved.
+
+A still wall beside a moving car must not cost as much as the car. So nothing is done twice that once is enough for:
+
+- **Motion.** Nothing is estimated where the recording does not contradict rest, one motion where it does not contradict
+  that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`).
+- **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
+  pixel: a pixel at rest gives one, with its ends, however long the recording. What is hidden or has left the picture
+  gives none.
+- **Exposures.** The rounds that correct for motion during an exposure end when the picture has settled (`Rounds`).
+
+`Plan` says of each tile of the sensor which of these apply, and why.
+"""
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from scipy.stats import chi2
+
+from scsr_opt.motion.trajectory import Motion
+
+# Side of a tile, sensor pixels.
+TILE = 16
+# Below so many spikes a pixel tells next to nothing alone; the prior and its neighbours have to.
+_DARK = 4.0
+# Share of the frames in which a saturated pixel fires: it is as bright as can be measured, or brighter.
+_SATURATED = 0.9
+# Share of a tile's light that must be usable: less, and most of what it sees is out of view in the key frame.
+_USED = 0.5
+# The chance that a tile without texture is taken for one with texture.
+_FALSE_ALARM = 1e-3
+
+
+class Kind(enum.IntEnum):
+    """What a tile asks for. Where several apply, the first of `SATURATED`, `DARK`, `FAST` counts before the others."""
+
+    STATIC = 0
+    UNIFORM = 1
+    MOVING = 2
+    DARK = 3
+    FAST = 4
+    SATURATED = 5
+
+    @property
+    def reason(self) -> str:
+        """What is done there, in words."""
+        return _REASONS[self]
+
+
+_REASONS = {
+    Kind.STATIC: "nothing moves: one measurement for each pixel, no motion",
+    Kind.UNIFORM: "nothing moves and nothing is to be resolved: as static, and settled after a few iterations",
+    Kind.MOVING: "moves: every interval is placed on its own",
+    Kind.DARK: f"fewer than {_DARK:g} spikes a pixel: what there is is used in full, and smoothed",
+    Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
+    Kind.SATURATED: f"fires in {100 * _SATURATED:g} % of the frames or more: runs of spikes are one measurement",
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What each tile of the sensor asks for.
+
+    **Fields:**
+    - `kind`: (rows, columns) of `Kind`, tiles of `tile` × `tile` sensor pixels (the last ones may be smaller).
+    - `merged_for`: (rows, columns), frames over which a pixel's intervals are merged, the least in the tile.
+    - `used`: (rows, columns), the share of the light whose place in the key frame is known and in view.
+    - `scene`: the motion of the whole: "at rest", "one motion", "layers" or "a motion for each pixel".
+    - `intervals`: measurements that there would be without merging; `samples`: those that there are.
+    """
+
+    kind: Int[np.ndarray, "rows columns"]
+    merged_for: Int[np.ndarray, "rows columns"]
+    used: Float[np.ndarray, "rows columns"]
+    scene: str
+    intervals: int
+    samples: int
+    tile: int = TILE
+
+    def share(self, kind: Kind) -> float:
+        """The share of the tiles that are of a kind."""
+        return float(np.mean(self.kind == kind))
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """For a report: shares of the tiles by kind, and how many measurements there are instead of how many."""
+        shares = {kind.name.lower(): round(self.share(kind), 4) for kind in Kind}
+        return {"scene": self.scene, "tiles": shares, "intervals": self.intervals, "samples": self.samples}
+
+    def lines(self) -> list[str]:
+        """What was skipped and why, for people."""
+        saved = 1 - self.samples / max(self.intervals, 1)
+        text = [
+            f"Scene: {self.scene}.",
+            f"Measurements: {self.samples:,} instead of {self.intervals:,} ({100 * max(saved, 0):.0f} % fewer).",
+        ]
+        for kind in sorted(Kind, key=self.share, reverse=True):
+            share = 100 * self.share(kind)
+            if share > 0:
+                text.append(f"{f'{share:.0f}' if share >= 1 else 'under 1'} % of the tiles: {kind.reason}.")
+        return text
+
+
+def plan_of(
+    spikes: Shaped[np.ndarray, "T h w"],
+    motion: Motion,
+    merged_for: Int[np.ndarray, "h w"],
+    *,
+    pixel: Int[np.ndarray, " n"],
+    light: Float[np.ndarray, " n"],
+    used: Float[np.ndarray, " n"],
+    noise: float,
+) -> Plan:
+    """The plan that a recording was measured by.
+
+    A tile is uniform if the numbers of spikes of its pixels differ no more than their noise makes them (χ² over the
+    tile's pixels, with a false-alarm rate of 0.1 %).
+
+    **Arguments:**
+    - `merged_for`: frames over which each pixel's intervals were merged.
+    - `pixel`, `light`, `used`: of each sample, the flattened sensor pixel, its weight as measured, and as placed.
+    - `noise`: standard deviation of a pixel's mean number of spikes per frame.
+    """
+    frames, height, width = spikes.shape
+    count = np.add.reduce(spikes.astype(bool, copy=False).view(np.int8), axis=0, dtype=np.int32)
+    fired = count.astype(np.float32) / np.float32(frames)
+    still = merged_for >= frames
+    mean, pixels = _tiles(fired, np.mean), _tiles(np.ones_like(fired), np.sum)
+    scatter = _tiles(fired**2, np.sum) - pixels * mean**2
+    # No mean is known better than to a spike: the phase of a pixel's first one is chance.
+    variance = max(noise**2, 1 / 12 / frames**2)
+    flat = scatter <= variance * chi2.ppf(1 - _FALSE_ALARM, np.maximum(pixels - 1, 1))
+
+    def of_tiles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows columns"]:
+        summed = np.bincount(pixel, values, minlength=height * width).reshape(height, width)
+        return _tiles(summed.astype(np.float32), np.sum)
+
+    share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
+    kind = np.full(mean.shape, int(Kind.MOVING))
+    rests = _tiles(still.astype(np.float32), np.min) > 0
+    kind[rests] = Kind.STATIC
+    kind[rests & flat] = Kind.UNIFORM
+    kind[share < _USED] = Kind.FAST
+    kind[mean * np.float32(frames) < _DARK] = Kind.DARK
+    kind[mean >= _SATURATED] = Kind.SATURATED
+    return Plan(
+        kind=kind,
+        merged_for=_tiles(merged_for.astype(np.float32), np.min).astype(np.int32),
+        used=share.astype(np.float32),
+        scene=_scene(motion),
+        intervals=int(count.sum()) + int(np.count_nonzero(count)) + int(np.count_nonzero(count == 0)),
+        samples=pixel.size,
+    )
+
+
+def _scene(motion: Motion) -> str:
+    if not motion.velocity.any() and not motion.acceleration.any():
+        return "at rest"
+    if motion.layers is not None:
+        return f"{len(motion.layers.depth)} layers"
+    # An affine or perspective field has no third differences.
+    third = max(float(np.abs(np.diff(motion.velocity, 3, axis=axis)).max(initial=0)) for axis in (1, 2))
+    return "one motion" if third <= 1e-4 * float(np.abs(motion.velocity).max()) else "a motion for each pixel"
+
+
+def _tiles(values: Float[np.ndarray, "h w"], reduced: Any) -> Float[np.ndarray, "rows columns"]:
+    """One number for each tile, from its pixels."""
+    height, width = values.shape
+    rows, columns = range(0, height, TILE), range(0, width, TILE)
+    return np.array([[reduced(values[r : r + TILE, c : c + TILE]) for c in columns] for r in rows], np.float32)

@@ -19,6 +19,8 @@ from scsr_opt.operators.sampling import PlacedSamples, place
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
 _MERGED_MOTION = 0.25
+# How far the weight of what a pixel sees may change while intervals are merged.
+_MERGED_CHANGE = 0.25
 # Length of an exposure, in high-resolution pixels, from which on it is sampled at several positions.
 _EXPOSURE_MOTION = 0.75
 
@@ -128,7 +130,9 @@ def measured(
         with np.errstate(divide="ignore", over="ignore"):
             # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
             still = _MERGED_MOTION / (scale * path.fastest)
-        still_for = np.clip(np.nan_to_num(still), 1, frames).astype(np.int32)
+            # A merged interval has one weight.
+            steady = _MERGED_CHANGE / path.unsteady
+        still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()

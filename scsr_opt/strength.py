@@ -50,7 +50,7 @@ _ITERATIONS, _TOLERANCE = 60, 5e-4
 
 
 def strength_of_noise(noise: float, scale: int, prior: Prior) -> float:
-    """λ from how much neighbouring intervals of a pixel differ (`noise_of_mean`). **Raises:** as `relative_strength`."""
+    """λ from how much neighbouring intervals differ (`noise_of_mean`). **Raises:** as `relative_strength`."""
     return _SMOOTHING * noise * 2 / scale * relative_strength(prior)
 
 

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from cyclopts import App, CycloptsError, MissingArgumentError
 
 from scsr_opt.cli.baseline import baseline
+from scsr_opt.cli.bench import bench
 from scsr_opt.cli.compare import compare
 from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.demo import demo
@@ -43,7 +44,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, baseline, demo, train, compare, stress):
+for _command in (info, simulate, play, solve, baseline, demo, train, compare, stress, bench):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 

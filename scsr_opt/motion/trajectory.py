@@ -153,9 +153,10 @@ class Trajectory(eqx.Module):
     ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
         """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`."""
         moments, _, height, width = self.position.shape
-        # One pixel's table lies together: samples come pixel by pixel, so what they read is near what was read before.
-        table = jnp.concatenate([self.position, self.visible[:, None]], axis=1)
-        table = jnp.moveaxis(table, (2, 3), (0, 1)).reshape(height * width * moments, 3)
+        # One pixel's moments lie together: samples come pixel by pixel, so what they read is near what was read before.
+        # Each number is looked up by itself: rows of three together took three times as long.
+        fields = (self.position[:, 0], self.position[:, 1], self.visible)
+        tables = [jnp.moveaxis(field, 0, -1).reshape(height * width * moments) for field in fields]
         pixel = (row * width + column) * moments
         if moments == 1:
             index, fraction, following = pixel, jnp.zeros_like(time), pixel
@@ -163,9 +164,13 @@ class Trajectory(eqx.Module):
             steps = jnp.clip((time - self.first) / SPACING, 0, moments - 1)
             whole = jnp.minimum(steps.astype(row.dtype), moments - 2)
             index, fraction, following = pixel + whole, steps - whole.astype(time.dtype), pixel + whole + 1
-        before, after = table[index], table[following]
-        between = before + fraction[:, None] * (after - before)
-        return between[:, 0], between[:, 1], between[:, 2]
+
+        def between(table: Float[Array, " m"]) -> Float[Array, " n"]:
+            before = table.at[index].get(mode="promise_in_bounds")
+            return before + fraction * (table.at[following].get(mode="promise_in_bounds") - before)
+
+        down, right, visible = (between(table) for table in tables)
+        return down, right, visible
 
     @property
     def fastest(self) -> Float[np.ndarray, "h w"]:
@@ -176,6 +181,18 @@ class Trajectory(eqx.Module):
         if self.position.shape[0] == 1:
             return np.zeros(self.position.shape[2:], np.float32)
         return np.asarray(_fastest(self.position))
+
+    @property
+    def unsteady(self) -> Float[np.ndarray, "h w"]:
+        """How fast the visibility of what a pixel sees changes at most, per frame."""
+        if self.visible.shape[0] == 1:
+            return np.zeros(self.visible.shape[1:], np.float32)
+        return np.asarray(_unsteady(self.visible))
+
+
+@jax.jit
+def _unsteady(visible: Float[Array, "n h w"]) -> Float[Array, "h w"]:
+    return jnp.max(jnp.abs(visible[1:] - visible[:-1]), axis=0) / SPACING
 
 
 @jax.jit

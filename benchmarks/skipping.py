@@ -1,0 +1,135 @@
+"""What is saved by skipping what a scene doesn't need, and what that costs in the picture.
+
+    python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 200] [--rounds 3]
+
+For each recording (without any: five simulated scenes at ×2) `reconstruct` runs with and without `skip`, in turns. The
+table gives the medians of the seconds and their ratio; by how much the skipping picture's objective is above the other
+one's, in the problem that nothing was skipped in (Eq. 4 over two, every interval a sample of its own, with the motion
+that the full computation found); the largest change of the mean of a tile of 16 sensor pixels, in 1/255 of white; and
+the peak signal-to-noise ratios where the truth is known.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator
+from statistics import median
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from skimage import color, data
+
+from scsr_opt import Recording, Solution, reconstruct
+from scsr_opt.camera import Intervals, Sensor, read_recording, simulate
+from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Static, Translation, TurningDisc
+from scsr_opt.demo import psnr
+from scsr_opt.errors import InputError
+from scsr_opt.motion import Automatic, estimate_motion
+from scsr_opt.operators import Aperture
+from scsr_opt.placing import measured, stream_around
+from scsr_opt.priors import HuberTotalVariation
+from scsr_opt.skip import TILE
+
+
+class Case(NamedTuple):
+    """A recording, its scale, and the truth where it is known."""
+
+    name: str
+    recording: Recording
+    scale: int
+    frames: int
+    truth: Float[np.ndarray, "H W"] | None
+
+
+def simulated() -> Iterator[Case]:
+    """Five scenes of 240×240 high-resolution pixels, 120×120 on the sensor."""
+    still = color.rgb2gray(data.astronaut())[:240, 100:340]
+    texture = data.brick()[:160, :160] / 255
+    scenes: dict[str, Scene] = {
+        "static": Static(still),
+        "translate": Translation(still, velocity=(0.3, 0.5)),
+        "affine": Affine(still, rotation=0.002, zoom=0.001, drift=(0.2, 0.1)),
+        "object": MovingObject(still, texture, (0.6, 0.8)),
+        "fan": TurningDisc(still, texture, 0.004),
+    }
+    for name, scene in scenes.items():
+        made = simulate(scene, scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=4)
+        yield Case(name, Recording.from_array(made.spikes), 2, 101, made.truth(50))
+
+
+def given(files: list[str], scale: int, frames: int) -> Iterator[Case]:
+    """Recordings in files."""
+    for file in files:
+        path, _, size = file.partition(":")
+        recording = read_recording(path, size=size) if size else read_recording(path)
+        yield Case(recording.name, recording, scale, frames, None)
+
+
+def excess(case: Case, full: Solution, other: Solution) -> float:
+    """By how much `other` is above `full`, relative, in the problem that nothing was skipped in."""
+    _, stream = stream_around(case.recording, key=None, frames=case.frames, white_rate=None)
+    motion = estimate_motion(
+        stream.spikes, key=stream.key, white_rate=stream.white_rate, estimator=Automatic(skip=False)
+    )
+    placed = measured(stream, motion, scale=case.scale, measuring=Intervals(), merge=False).placed
+    aperture, prior = Aperture(full.image.shape, case.scale), HuberTotalVariation()
+
+    def objective(image: Float[np.ndarray, "H W"]) -> float:
+        missed = placed.read(aperture(jnp.asarray(image))) - placed.value
+        data_part = 0.5 * jnp.sum(placed.weight * missed**2)
+        return float(data_part + full.stats["strength"] * prior.value(jnp.asarray(image)))
+
+    least = objective(full.image)
+    return objective(other.image) / least - 1
+
+
+def tile_change(first: Float[np.ndarray, "H W"], second: Float[np.ndarray, "H W"], scale: int) -> float:
+    """The largest change of a tile's mean, in 1/255 of white."""
+    side = TILE * scale
+    rows, columns = (range(0, length, side) for length in first.shape)
+    change = (second - first) * 255
+    return max(abs(float(change[r : r + side, c : c + side].mean())) for r in rows for c in columns)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*")
+    parser.add_argument("--scale", type=int, default=4)
+    parser.add_argument("--frames", type=int, default=101)
+    parser.add_argument("--rounds", type=int, default=3)
+    arguments = parser.parse_args()
+    try:
+        cases = given(arguments.files, arguments.scale, arguments.frames) if arguments.files else simulated()
+        print("| recording | full, s | skipping, s | ratio | objective above | tile's mean, 1/255 | PSNR, dB |")
+        print("|---|--:|--:|--:|--:|--:|--:|")
+        for case in cases:
+            print(row(case, arguments.rounds), flush=True)
+    except InputError as error:
+        parser.error(str(error))
+
+
+def row(case: Case, rounds: int) -> str:
+    """A line of the table."""
+    taken: dict[bool, list[float]] = {False: [], True: []}
+    found: dict[bool, Solution] = {}
+    for turn in range(1 + rounds):  # the first compiles
+        for skip in (False, True):
+            begin = time.perf_counter()
+            found[skip] = reconstruct(case.recording, scale=case.scale, frames=case.frames, skip=skip)
+            if turn:
+                taken[skip].append(time.perf_counter() - begin)
+    full, skipping = found[False], found[True]
+    change = tile_change(full.image, skipping.image, case.scale)
+    quality = "-"
+    if case.truth is not None:
+        quality = " → ".join(f"{psnr(case.truth, s.image, 4 * case.scale):.2f}" for s in (full, skipping))
+    slow, fast = median(taken[False]), median(taken[True])
+    return (
+        f"| {case.name} ×{case.scale} | {slow:.2f} | {fast:.2f} | {slow / fast:.2f} | "
+        f"{100 * excess(case, full, skipping):.3f} % | {change:.3f} | {quality} |"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 PYTEST_WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo peers choosing stress test test-slow lint format types pytest notebooks picture constraints setup clean distclean
+.PHONY: help demo peers choosing stress bench test test-slow lint format types pytest notebooks picture constraints setup clean distclean
 
 help:
 	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
@@ -19,6 +19,7 @@ help:
 	@echo 'make peers       other libraries on the same two problems (makes their environments; about 11 minutes)'
 	@echo 'make choosing    solvers and priors timed anew for docs/choosing.md (about 6 minutes)'
 	@echo 'make stress      thousands of solves that could break, for docs/stability.md (about 30 minutes)'
+	@echo 'make bench       speed and accuracy in figures, for docs/benchmarks.md (about 30 minutes)'
 	@echo 'make picture     remake the picture of the README'
 	@echo 'make setup       only make .venv and install'
 	@echo 'make constraints take the newest versions that go together into constraints.txt'
@@ -70,6 +71,10 @@ choosing: $(RUN_STAMP)
 stress: $(RUN_STAMP)
 	@mkdir -p build
 	$(PY) -m scsr_opt.cli stress --json build/stability.json --page docs/stability.md
+
+bench: $(RUN_STAMP)
+	@mkdir -p build
+	$(PY) -m scsr_opt.cli bench --json build/benchmarks.json --page docs/benchmarks.md
 
 setup: $(DEV_STAMP)
 

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import Generic
+from typing import ClassVar, Generic
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, Float
 
+from scsr_opt.priors.bands import by_bands
 from scsr_opt.priors.checks import divisible
 from scsr_opt.priors.prior import Prior, State
 
@@ -38,6 +39,9 @@ class Analysis(Prior[State], Generic[State]):
     """
 
     iterations: eqx.AbstractVar[int]
+
+    # How many rows K and K* look up and down together, where they do so and where the state has the picture's shape.
+    reach: ClassVar[int | None] = None
 
     @property
     @abc.abstractmethod
@@ -91,7 +95,14 @@ class Analysis(Prior[State], Generic[State]):
 
         **Returns:** the minimiser, and the dual variable to start from next time.
         """
-        return self.prox_within(image, strength, state, lambda picture: picture)
+
+        def work(image: Float[Array, "h W"], state: State) -> tuple[Float[Array, "h W"], State]:
+            return self.prox_within(image, strength, state, lambda picture: picture)
+
+        if self.reach is None:
+            return work(image, state)
+        # A dual step looks as far as K and K* do, and so does the picture that is made at the end.
+        return by_bands(work, image, state, (self.iterations + 1) * self.reach)
 
     def prox_within(
         self,

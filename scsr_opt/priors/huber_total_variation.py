@@ -30,6 +30,7 @@ class HuberTotalVariation(Analysis[Dual]):
     """
 
     smooth: ClassVar[bool] = True
+    reach: ClassVar[int | None] = 1
 
     knee: float = eqx.field(static=True)
     iterations: int = eqx.field(static=True)

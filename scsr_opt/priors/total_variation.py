@@ -1,6 +1,6 @@
 """Total variation, the baseline prior."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,6 +39,8 @@ class TotalVariation(Analysis[Dual]):
 
     **Errors:** `InputError` for fewer than one iteration.
     """
+
+    reach: ClassVar[int | None] = 1
 
     isotropic: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)

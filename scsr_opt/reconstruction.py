@@ -50,7 +50,7 @@ def reconstruct(
     key: SupportsIndex | None = None,
     frames: SupportsIndex = FRAMES,
     white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float | int] | Estimator | None = None,
+    velocity: ArrayLike | Sequence[float | int] | Estimator | Motion | None = None,
     bad_pixels: ArrayLike | None = None,
     samples: Measuring | None = None,
     gain: ArrayLike | Literal["auto", "blind"] | None = "auto",
@@ -74,7 +74,8 @@ def reconstruct(
     - `frames`: how many frames around the key frame are used (all, if the recording has fewer).
     - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording, or 0.6, if not given.
     - `velocity`: known motion at the key frame, (2, h, w) or two numbers, sensor pixels per frame ([0] down, [1]
-      right); or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by `Automatic` if not given.
+      right); a `Motion`, with its layers; or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by
+      `Automatic` if not given.
     - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
     - `samples`: what the Y_i are: `Intervals()` if not given, or `Windows(length)` of so many frames.
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from a first picture and solve again, twice
@@ -130,6 +131,9 @@ def reconstruct(
             estimator=Automatic(skip=skip) if velocity is None else velocity,
             bad_pixels=stream.bad_pixels,
         )
+    elif isinstance(velocity, Motion):
+        given(velocity.velocity, height, width)  # of the right shape, and finite
+        motion = velocity
     else:
         motion = given(velocity, height, width)
     clock.lap("motion")

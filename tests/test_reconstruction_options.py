@@ -12,6 +12,7 @@ from scsr_opt.camera.gain import FIXED_PATTERN
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
 from scsr_opt.inputs import check_type
+from scsr_opt.motion import Motion
 from scsr_opt.operators import Blur, Huber, Loss, Welsch
 from scsr_opt.priors import Bounded, HuberTotalVariation, TotalVariation, WaveletL1
 from scsr_opt.rounds import CORRECTIONS
@@ -40,6 +41,15 @@ def made() -> Simulation:
 def usual(made):
     """The defaults, but for the motion, which is known."""
     return reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY)
+
+
+def test_a_motion_found_before_is_taken_as_it_is(made, usual):
+    field = np.empty((2, *made.spikes.shape[1:]), np.float32)
+    field[0], field[1] = VELOCITY
+    again = reconstruct(made.spikes, scale=SCALE, velocity=Motion.of_velocity(field))
+    np.testing.assert_array_equal(again.image, usual.image)
+    with pytest.raises(InputError, match=r"velocity has shape \(2, 5, 5\)"):
+        reconstruct(made.spikes, scale=SCALE, velocity=Motion.none(5, 5))
 
 
 def score(made: Simulation, image: np.ndarray) -> float:

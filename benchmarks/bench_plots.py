@@ -1,0 +1,113 @@
+"""The plots of docs/benchmarks.md, small enough to lie beside it."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.bench_scaling import PARTS
+
+SAID = {
+    "solvers": "Left: objective above its minimum, right: PSNR, against time; a row for each scale",
+    "whole": "PSNR against time; the line is the front, the star the default",
+    "scaling": "Seconds of the parts of a reconstruction, left by frames, right by the side of the sensor",
+    "roofline": "Operations per second against operations per byte; the lines are what a copy and arithmetic allow",
+}
+_COLOURS = {"default": "C3", "variant": "C1", "learned": "C2", "baseline": "C0"}
+
+
+def plots(figures: dict[str, Any]) -> dict[str, Callable[[], Figure]]:
+    """What there is to draw, by name, which begins with its family; drawn when it is called."""
+    found: dict[str, Callable[[], Figure]] = {}
+    if figures.get("solvers"):
+        found["solvers"] = partial(_solvers, figures["solvers"])
+    for scale, rows in figures.get("whole", {}).items():
+        found[f"whole_x{scale}"] = partial(_front, scale, rows)
+    if "scaling" in figures:
+        found["scaling"] = partial(_scaling, figures["scaling"])
+    if "roofline" in figures:
+        found["roofline"] = partial(_roofline, figures["roofline"])
+    return found
+
+
+def _solvers(rows: list[dict[str, Any]]) -> Figure:
+    """Every solver at the default prior."""
+    scales = list(dict.fromkeys(row["scale"] for row in rows))
+    drawn = Figure(figsize=(9, 3.4 * len(scales) + 0.6), dpi=80, layout="constrained")
+    panels = drawn.subplots(len(scales), 2, squeeze=False)
+    names = list(dict.fromkeys(row["solver"] for row in rows if row["part"] == "solvers"))
+    for (left, right), scale in zip(panels, scales, strict=True):
+        for row in rows:
+            if row["scale"] != scale or row["part"] != "solvers":
+                continue
+            number = names.index(row["solver"])
+            style: dict[str, Any] = {"color": f"C{number % 10}", "linestyle": "-" if number < 10 else "--"}
+            times = [look["seconds"] for look in row["looks"]]
+            # What float32 cannot tell from the minimum lies on the lower edge.
+            left.loglog(times, [max(look["gap"], 1e-7) for look in row["looks"]], label=row["solver"], **style)
+            right.semilogx(times, [look["psnr"] for look in row["looks"]], **style)
+        left.set(title=f"×{scale}", xlabel="seconds, compiled", ylabel="objective above its minimum, relative")
+        right.set(title=f"×{scale}", xlabel="seconds, compiled", ylabel="PSNR, dB")
+        left.grid(alpha=0.3)
+        right.grid(alpha=0.3)
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    drawn.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    return drawn
+
+
+def _front(scale: str, rows: list[dict[str, Any]]) -> Figure:
+    drawn = Figure(figsize=(7.5, 4.6), dpi=80, layout="constrained")
+    axes = drawn.subplots()
+    for number, row in enumerate(sorted(rows, key=lambda row: np.mean(row["psnr"]))):
+        at = (float(np.median(row["seconds"])), float(np.mean(row["psnr"])))
+        usual = row["kind"] == "default"
+        axes.plot(*at, marker="*" if usual else "o", markersize=14 if usual else 6, color=_COLOURS[row["kind"]])
+        axes.annotate(row["method"], at, xytext=(6, (3, -9)[number % 2]), textcoords="offset points", fontsize=7)
+    best = sorted((float(np.median(row["seconds"])), float(np.mean(row["psnr"]))) for row in rows if row["front"])
+    axes.step(*zip(*best, strict=True), where="post", color="grey", linewidth=0.8, zorder=0)
+    axes.set(xscale="log", xlabel="seconds, compiled", ylabel="PSNR, dB", title=f"×{scale}")
+    axes.margins(x=0.15)
+    axes.grid(alpha=0.3)
+    return drawn
+
+
+def _scaling(found: dict[str, Any]) -> Figure:
+    drawn = Figure(figsize=(9, 3.6), dpi=80, layout="constrained")
+    axes = drawn.subplots(1, 2, sharey=True)
+    for one, axis, name in zip(axes, ("frames", "sensor"), ("frames", "side of the sensor, pixels"), strict=True):
+        rows = found[axis]
+        at = [row["frames"] if axis == "frames" else row["side"] for row in rows]
+        for part in PARTS[1:]:
+            one.loglog(at, [np.median([s[part] for s in row["seconds"]]) for row in rows], marker=".", label=part)
+        iteration = [float(np.median(row["iteration_seconds"])) for row in rows]
+        one.loglog(at, iteration, marker=".", color="k", linestyle=":", label="an iteration")
+        one.set(xlabel=name)
+        one.grid(alpha=0.3)
+    axes[0].set_ylabel("seconds, compiled")
+    axes[0].legend(fontsize=8)
+    return drawn
+
+
+def _roofline(found: dict[str, Any]) -> Figure:
+    """Kernels whose operations are counted by hand; each has a copy of its own size to be compared with."""
+    rows = [row for row in found["kernels"] if row["operations"]]
+    drawn = Figure(figsize=(7.5, 4.6), dpi=80, layout="constrained")
+    axes = drawn.subplots()
+    density = np.logspace(-1, 1.5, 200)
+    bandwidths = [bandwidth for _, bandwidth in found["copies"]]
+    for bandwidth, style in ((max(bandwidths), "--"), (min(bandwidths), "-")):
+        limit = np.minimum(density * bandwidth, found["peak_operations"]) / 1e9
+        said = f"copy, {bandwidth / 1e9:.0f} GB/s"
+        axes.loglog(density, limit, color="k", linewidth=0.8, linestyle=style, label=said)
+    peak = found["peak_operations"] / 1e9
+    axes.axhline(peak, color="grey", linewidth=0.8, label=f"product of matrices, {peak:.0f} Gop/s")
+    for number, row in enumerate(rows):
+        at = (row["operations"] / row["moved"], row["operations"] / float(np.median(row["seconds"])) / 1e9)
+        marker = "osv^D"[number // 10 % 5]
+        axes.plot(*at, marker, color=f"C{number % 10}", label=f"{row['kernel']}, {100 * row['share']:.0f} %")
+    axes.set(xlabel="operations for each byte that has to move", ylabel="Gop/s")
+    axes.legend(fontsize=7, loc="lower right")
+    axes.grid(alpha=0.3)
+    return drawn

@@ -1,0 +1,70 @@
+"""Published figures beside ours: PSNR in dB / SSIM, each on its own recordings.
+
+`PUBLISHED` is Table 1 of the paper (SpikeSR-Net, AAAI 2023), whose recordings and weights are not public. `OURS` are
+figures of this project's pages (`tests/benchmarks/test_bench.py` holds that they are still there).
+"""
+
+from typing import NamedTuple
+
+SETS = ("DIV2K-based, ×2", "DIV2K-based, ×4", "REDS-based, ×2", "REDS-based, ×4")
+PUBLISHED: dict[str, tuple[str, str, str, str]] = {
+    "TFP + SISR": ("20.18/0.3538", "20.01/0.4132", "23.09/0.5055", "23.14/0.5230"),
+    "TFP + MISR": ("20.53/0.4168", "19.99/0.4087", "24.15/0.5810", "23.15/0.5180"),
+    "STP + SISR": ("14.61/0.3585", "14.37/0.3214", "14.82/0.4237", "14.84/0.4111"),
+    "STP + MISR": ("15.03/0.4027", "14.46/0.3296", "15.44/0.4876", "14.97/0.4260"),
+    "Spk2ImgNet + SISR": ("24.48/0.7806", "24.59/0.7064", "25.39/0.8165", "25.97/0.7637"),
+    "Spk2ImgNet + MISR": ("27.14/0.8197", "25.85/0.7253", "28.76/0.8687", "27.24/0.7881"),
+    "MGSR": ("23.96/0.6603", "22.93/0.5999", "23.63/0.6341", "22.73/0.5921"),
+    "SpikeSR-Net": ("28.70/0.8413", "26.88/0.7451", "30.79/0.8883", "28.46/0.8012"),
+}
+
+
+class Own(NamedTuple):
+    """Figures of one method. **Fields:** `page` where they stand, `recordings`, and for ×2 and ×4 (None: not there)
+    what it says of each scene, dB and, where the page has it, SSIM."""
+
+    method: str
+    page: str
+    recordings: str
+    twice: tuple[tuple[float, float | None], ...] | None
+    four_times: tuple[tuple[float, float | None], ...] | None
+
+
+_STILLS = "12 stills, day: static, translate, affine, object, fan"
+_FEW = "4 stills, day: translate, object"
+OURS = (
+    Own(
+        "playback (TFP)", "learned.md", _STILLS,
+        ((24.4, None), (21.9, None), (23.7, None), (22.4, None), (22.7, None)), None,
+    ),
+    Own(
+        "`reconstruct`, defaults", "learned.md", _STILLS,
+        ((26.15, 0.838), (28.94, 0.884), (30.45, 0.924), (25.95, 0.844), (26.23, 0.859)),
+        ((23.14, 0.648), (24.47, 0.713), (25.18, 0.757), (22.20, 0.657), (22.65, 0.697)),
+    ),
+    Own(
+        "`unrolled`", "learned.md", _STILLS,
+        ((27.11, 0.851), (29.25, 0.888), (30.68, 0.922), (26.66, 0.853), (27.04, 0.871)),
+        ((23.61, 0.658), (24.53, 0.706), (25.16, 0.742), (22.44, 0.666), (22.87, 0.700)),
+    ),
+    Own(
+        "`spikesr-small`", "learned.md", _STILLS,
+        ((26.97, 0.836), (24.86, 0.730), (26.43, 0.816), (25.15, 0.808), (25.35, 0.818)), None,
+    ),
+    Own("`tfp_sr`", "baselines.md", _FEW, ((23.21, 0.494), (23.99, 0.685)), ((21.83, 0.375), (20.79, 0.497))),
+    Own("`stp_sr`", "baselines.md", _FEW, ((23.43, 0.561), (23.85, 0.653)), ((21.88, 0.418), (21.20, 0.501))),
+    Own("`mgsr`", "baselines.md", _FEW, ((29.89, 0.860), (26.95, 0.806)), ((25.40, 0.623), (23.18, 0.639))),
+    Own(
+        "`reconstruct`, the same stills", "baselines.md", _FEW, ((29.88, 0.867), (27.45, 0.825)),
+        ((25.43, 0.628), (23.85, 0.663)),
+    ),
+)  # fmt: skip
+
+
+def mean(scenes: tuple[tuple[float, float | None], ...] | None) -> str:
+    """dB and, where all scenes have it, SSIM; the mean over the scenes."""
+    if scenes is None:
+        return "–"
+    ratio = f"{sum(one for one, _ in scenes) / len(scenes):.2f}"
+    likeness = [one for _, one in scenes if one is not None]
+    return ratio if len(likeness) < len(scenes) else f"{ratio}/{sum(likeness) / len(likeness):.3f}"

@@ -1,0 +1,159 @@
+"""How far is each kernel from what memory allows?
+
+A kernel has to read each of its inputs once and to write each of its outputs once; an iterated one does so in every
+pass (a dual step reads the picture and four fields, and writes four). These bytes and the operations are counted by
+hand here, beside what XLA counts for the compiled program, which includes what is read twice and intermediate results.
+The limit is a copy in the same run, of arrays that are together as large as all that the kernel touches: a working set
+in the processor's cache is copied faster than one in memory. The kernel's bytes at the copy's bandwidth are the least
+time; that over the time it takes is the share of the limit. Where a kernel calculates much for each byte, the limit is
+the speed of arithmetic instead, which a product of matrices shows.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.bench_cases import Size
+from benchmarks.bench_iteration import SCALE, first_state, fused_iteration, placed_of, problem_of
+from benchmarks.bench_timing import in_turns, program
+from scsr_opt.operators.sampling import accumulate, with_exposure
+from scsr_opt.priors import HuberTotalVariation
+from scsr_opt.progress import Progress
+from scsr_opt.solvers import ADMM, FISTA, CondatVu, lipschitz_bound
+
+_ROUNDS = 11
+_MATRIX = 1024
+
+
+class Kernel(NamedTuple):
+    """**Fields:** `call(*arguments)`; `moved`: bytes that have to move at least, and `operations`, both by hand (None:
+    not counted); `touched`: bytes of all arrays that it works on."""
+
+    call: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    moved: int
+    operations: int | None
+    touched: int
+
+
+def kernels(shape: tuple[int, int], accumulated: tuple[int, int, int, int]) -> dict[str, Kernel]:
+    """The parts of an iteration, iterations, and what happens to samples. Bytes are multiples of a picture in float32,
+    operations of its pixels, unless samples are counted."""
+    problem, image = problem_of(shape)
+    data, prior, λ = problem.data, HuberTotalVariation(), problem.strength
+    fista, dual, steps = FISTA(), prior.initial_state(image), prior.iterations
+    pixels, one = image.size, image.nbytes
+    # Sliding sums of s rows, then of s columns, then 1/s²; nine products and eight sums; f: two products, two sums.
+    slide, stencil = 2 * (SCALE - 1) + 1, 17
+    slope = 2 * slide + stencil + 5
+    # A dual step: K*p 3, the picture 2, K 2, p + step·z 4, shorter 2, unit ball 7, extrapolation 6. Then the picture.
+    dual_steps, passes = 26 * steps + 5, 9 * steps + 4
+    # FISTA: R (reads 2, writes 1), the proximal step, f and ∇f, λΨ (reads 3), extrapolation of picture and gradient
+    # (reads 6, writes 2).
+    iteration = 3 + passes + 8 + 3 + 8
+    found = {
+        "stencil M u": Kernel(lambda m, u: m(u), (data.stencil, image), 7 * one, stencil * pixels, 7 * one),
+        "aperture": Kernel(lambda b, x: b(x), (data.aperture, image), 2 * one, slide * pixels, 2 * one),
+        "aperture, adjoint": Kernel(
+            lambda b, x: b.adjoint(x), (data.aperture, image), 2 * one, slide * pixels, 2 * one
+        ),
+        "f and its gradient": Kernel(
+            lambda f, x: f.value_and_gradient(x), (data, image), 8 * one, slope * pixels, 8 * one
+        ),
+        "norm bound": Kernel(
+            lambda f: lipschitz_bound(f), (data,), 16 * one, 2 * (2 * slide + stencil) * pixels, 7 * one
+        ),
+        "Huber-TV": Kernel(lambda x: prior.value(x), (image,), one, 10 * pixels, one),
+        f"its proximal step ({steps} dual steps)": Kernel(
+            lambda x, p: prior.prox(x, 0.1 * λ, p), (image, dual), passes * one, dual_steps * pixels, 6 * one,
+        ),
+        "FISTA, an iteration": Kernel(
+            fused_iteration, (fista, problem, first_state(fista, problem, image)), iteration * one,
+            (2 + dual_steps + slope + 14 + 16) * pixels, 19 * one,
+        ),
+    }  # fmt: skip
+    # Reads f's eight (once; three times and once more for ADMM's systems) and what the state holds, writes the state.
+    for name, solver, applied in (("CondatVu", CondatVu(), 1), ("ADMM", ADMM(), 4)):
+        state = first_state(solver, problem, image)
+        held = sum(leaf.nbytes for leaf in jax.tree.leaves(eqx.filter(state, eqx.is_array)))
+        found[f"{name}, an iteration"] = Kernel(
+            fused_iteration, (solver, problem, state), 8 * applied * one + 2 * held, None,
+            8 * one + 2 * held,
+        )  # fmt: skip
+    placed = placed_of(*accumulated)
+    count, picture = placed.value.size, 4 * placed.shape[0] * placed.shape[1]
+    # A sample: index, two fractions, value, weight. Weights of four taps 6, times ω 4, four sums into c 8, ten into M.
+    found["accumulate M and c"] = Kernel(
+        lambda p: accumulate(p), (placed,), 20 * count + 6 * picture, 38 * count, 20 * count + 6 * picture
+    )
+    found["read U at samples"] = Kernel(
+        lambda p, u: p.read(u), (placed, jnp.ones(placed.shape)), 16 * count + picture, 9 * count, 16 * count + picture
+    )
+    term = accumulate(placed)
+    found["correct c for exposures"] = Kernel(
+        lambda t, p, u: with_exposure(t, p, u), (term, placed, jnp.ones(placed.shape)), 36 * count + 11 * picture, None,
+        24 * count + 9 * picture,
+    )  # fmt: skip
+    return found
+
+
+def _copies(sizes: set[int]) -> dict[int, Callable[[], Any]]:
+    """For each number of bytes an array of them that is read and written once, in place: memory that is new to the
+    process would have to be cleared by the system first, and that takes longer than to write it."""
+
+    def copy(size: int) -> Callable[[], Any]:
+        copied = jax.jit(lambda x: x + 1, donate_argnums=0)
+        held = [jnp.zeros(max(1, size // 4))]
+
+        def call() -> Any:
+            held[0] = copied(held[0])
+            return held[0]
+
+        return call
+
+    return {size: copy(size) for size in sizes}
+
+
+def measure(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
+    """Ready for JSON: `peak_operations` (per second), `copies` (bytes, bytes per second), and a row for each kernel
+    with its counts, the `seconds` of each round, `bandwidth` (bytes per second) and the `share` of the limit."""
+    found = kernels(size.picture, size.accumulated)
+    progress.start(len(found) + 1, "kernels")
+    rows: list[dict[str, Any]] = []
+    try:
+        calls: dict[Any, Callable[[], Any]] = {}
+        for name, kernel in found.items():
+            told = program(kernel.call, *kernel.arguments)
+            calls[name] = told.call
+            rows.append(
+                {
+                    "kernel": name, "moved": kernel.moved, "operations": kernel.operations, "touched": kernel.touched,
+                    "xla_moved": told.moved, "xla_operations": told.flops, "fusions": told.fusions,
+                }
+            )  # fmt: skip
+            progress.advance(1)
+        matrix = jnp.ones((_MATRIX, _MATRIX)) / _MATRIX
+        product = jax.jit(lambda a: a @ a)
+        calls |= _copies({row["touched"] for row in rows}) | {"product": lambda: product(matrix)}
+        for call in calls.values():
+            jax.block_until_ready(call())
+        taken = in_turns(calls, _ROUNDS)
+        progress.advance(1)
+    finally:
+        progress.finish()
+    for row in rows:
+        row["seconds"] = taken[row["kernel"]]
+        middle, copied = float(np.median(row["seconds"])), np.asarray(taken[row["touched"]])
+        row["bandwidth"] = 2 * row["touched"] / float(np.median(copied))
+        row["share"] = row["moved"] / row["bandwidth"] / middle
+    return {
+        "shape": list(size.picture),
+        "accumulated": list(size.accumulated),
+        "peak_operations": 2 * _MATRIX**3 / float(np.median(taken["product"])),
+        "copies": sorted([row["touched"], row["bandwidth"]] for row in rows),
+        "kernels": rows,
+    }

@@ -1,0 +1,160 @@
+"""How `scsr bench` measures: times in turns, what XLA says of a program, memory, and the machine it is on."""
+
+import contextlib
+import os
+import platform
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
+
+_KILOBYTE = 1024
+
+
+class Spread(NamedTuple):
+    """Median and quartiles of repeated measurements, in their unit."""
+
+    low: float
+    middle: float
+    high: float
+
+
+def spread(values: Any) -> Spread:
+    """Of at least one number."""
+    return Spread(*(float(v) for v in np.percentile(np.asarray(values, float), (25, 50, 75))))
+
+
+def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, list[float]]:
+    """Seconds of each call, `rounds` of each. All calls take turns, in an order that is drawn anew for each round (from
+    a fixed seed): what else the machine does hits all alike, and none always follows the same one. They have to be
+    compiled before."""
+    names, taken, rng = list(calls), {name: [] for name in calls}, np.random.default_rng(0)
+    for _ in range(rounds):
+        for number in rng.permutation(len(names)):
+            name = names[number]
+            begin = time.perf_counter()
+            jax.block_until_ready(calls[name]())
+            taken[name].append(time.perf_counter() - begin)
+    return taken
+
+
+def ratios(some: list[float], others: list[float]) -> Spread:
+    """`some` over `others`, round by round, so that a slow moment of the machine is in both."""
+    return spread(np.asarray(some) / np.asarray(others))
+
+
+@contextlib.contextmanager
+def compiling_anew() -> Iterator[None]:
+    """Within it no program is taken from the cache folder of `scsr`, so that compiling takes what it takes."""
+    before = jax.config.values["jax_enable_compilation_cache"]
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()  # whether there is one is looked up once otherwise
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", before)
+        compilation_cache.reset_cache()
+
+
+@contextlib.contextmanager
+def compilations() -> Iterator[list[float]]:
+    """Seconds of each compilation within it, those included that found their program in the cache folder."""
+    found: list[float] = []
+
+    def heard(event: str, duration_secs: float, **_: Any) -> None:
+        if event.endswith("/backend_compile_duration"):
+            found.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(heard)
+
+
+class Program(NamedTuple):
+    """A compiled function as XLA sees it.
+
+    **Fields:** `compile_seconds`, tracing included; `flops` and `moved` (bytes that its operations read and write, one
+    by one, intermediate results included), None where XLA does not tell; `fusions`: how many fused kernels it calls;
+    `memory`: bytes of its arguments, results and temporary arrays together. `call()` runs it.
+
+    The body of a loop is counted once.
+    """
+
+    compile_seconds: float
+    flops: float | None
+    moved: float | None
+    fusions: int
+    memory: int
+    call: Callable[[], Any]
+
+
+def program(function: Callable[..., Any], *arguments: Any) -> Program:
+    """What `function(*arguments)` compiles to; arrays among the arguments are what it is a function of."""
+    arrays, rest = eqx.partition(arguments, eqx.is_array)
+
+    def pure(arrays: Any) -> list[jax.Array]:
+        return jax.tree.leaves(eqx.filter(function(*eqx.combine(arrays, rest)), eqx.is_array))
+
+    begin = time.perf_counter()
+    compiled = jax.jit(pure).lower(arrays).compile()
+    seconds = time.perf_counter() - begin
+    told, sizes = compiled.cost_analysis() or {}, compiled.memory_analysis()
+    assert sizes is not None  # told of every program that is compiled for a CPU
+    memory = sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes
+    return Program(
+        seconds,
+        float(told["flops"]) if told.get("flops", -1) >= 0 else None,
+        float(told["bytes accessed"]) if told.get("bytes accessed", -1) >= 0 else None,
+        len(re.findall(r" fusion\(", compiled.as_text() or "")),
+        int(memory - sizes.alias_size_in_bytes),
+        lambda: compiled(arrays),
+    )
+
+
+class Peak:
+    """The most memory that this process has held since the last `reset`, bytes; None where the system does not tell
+    (elsewhere than on Linux)."""
+
+    def reset(self) -> None:
+        # Linux forgets the highest mark when 5 is written here.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+    def read(self) -> int | None:
+        found = _field("/proc/self/status", "VmHWM")
+        return None if found is None else int(found.split()[0]) * _KILOBYTE
+
+
+def memory_available() -> int | None:
+    """Bytes that could be taken now; None where the system does not tell."""
+    found = _field("/proc/meminfo", "MemAvailable")
+    return None if found is None else int(found.split()[0]) * _KILOBYTE
+
+
+def hardware() -> dict[str, Any]:
+    """Processor, cores and memory (bytes); None for what the system does not tell."""
+    total = _field("/proc/meminfo", "MemTotal")
+    return {
+        "processor": _field("/proc/cpuinfo", "model name") or platform.machine(),
+        "cores": os.cpu_count(),
+        "memory": None if total is None else int(total.split()[0]) * _KILOBYTE,
+        "system": platform.system(),
+    }
+
+
+def _field(file: str, name: str) -> str | None:
+    """What stands after `name:` in a file of the system."""
+    try:
+        text = Path(file).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    found = re.search(rf"^{name}\s*:\s*(.+)$", text, re.MULTILINE)
+    return None if found is None else found.group(1).strip()

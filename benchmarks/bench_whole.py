@@ -1,0 +1,119 @@
+"""Whole reconstructions: time against accuracy, for `reconstruct` and its variants, learned models and baselines."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.bench_cases import Size, quality, recorded, recording_of
+from benchmarks.bench_timing import Peak, in_turns
+from learned.models import Network, model, names
+from scsr_opt import priors, reconstruct, solvers
+from scsr_opt.baselines import BASELINES
+from scsr_opt.camera.measuring import Windows
+from scsr_opt.camera.recording import Recording
+from scsr_opt.motion import Dense, Global, Still
+from scsr_opt.progress import Progress
+
+DEFAULT = "reconstruct"
+# The same as the default.
+_KNOWN_AS_DEFAULT = ("fista-huber",)
+
+
+class Method(NamedTuple):
+    """**Fields:** `kind`: "default", "variant", "learned" or "baseline"; `picture(recording)` (H, W)."""
+
+    name: str
+    kind: str
+    picture: Callable[[Recording], Any]
+
+
+def methods(scale: int, chosen: tuple[str, ...] | None = None) -> list[Method]:
+    """All that makes a picture of a recording at this scale, or those of the names."""
+
+    def variant(name: str, **options: Any) -> Method:
+        def picture(recording: Recording) -> Any:
+            return reconstruct(recording, scale=scale, **options).image
+
+        return Method(name, "variant", picture)
+
+    def learned(name: str) -> Method:
+        found = model(name, scale)
+        if isinstance(found, Network):
+            # Its stages are not measured: that would take several times as long as the network.
+            return Method(name, "learned", lambda recording: found(recording, scale=scale, record=False).image)
+        return Method(name, "learned", lambda recording: found(recording, scale=scale).image)
+
+    def baseline(name: str) -> Method:
+        return Method(name, "baseline", lambda recording: BASELINES[name](recording, scale=scale))
+
+    found = [
+        variant(DEFAULT)._replace(kind="default"),
+        variant("reconstruct, Still motion", velocity=Still()),
+        variant("reconstruct, Global motion", velocity=Global()),
+        variant("reconstruct, Dense motion", velocity=Dense()),
+        variant("reconstruct, refine=1", refine=1),
+        variant("reconstruct, windows of 8 frames", samples=Windows(8)),
+        variant("reconstruct, gain None", gain=None),
+        variant("reconstruct, LBFGS", solver=solvers.LBFGS()),
+        variant("reconstruct, ADMM", solver=solvers.ADMM()),
+        variant("reconstruct, TGV", prior=priors.TotalGeneralizedVariation()),
+        *(learned(name) for name in names(scale) if name not in _KNOWN_AS_DEFAULT),
+        *(baseline(name) for name in BASELINES),
+    ]
+    return [one for one in found if chosen is None or one.name in chosen]
+
+
+def front(points: list[tuple[float, float]]) -> list[bool]:
+    """For each (seconds, dB): whether no other point is at least as good in both and better in one."""
+    return [
+        not any(t <= seconds and q >= ratio and (t, q) != (seconds, ratio) for t, q in points)
+        for seconds, ratio in points
+    ]
+
+
+def measure(size: Size, seed: int, progress: Progress) -> dict[str, list[dict[str, Any]]]:
+    """For each scale, as a string, a row for each method, ready for JSON: `psnr` (dB) and `ssim` of each recording,
+    `seconds` of each round of each recording, `peak` memory of the process (bytes) during one call, `front`."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    peak = Peak()
+    for scale in size.scales:
+        chosen = methods(scale, size.methods)
+        rows = [
+            {
+                "method": one.name,
+                "kind": one.kind,
+                "recordings": [],
+                "psnr": [],
+                "ssim": [],
+                "seconds": [],
+                "peak": None,
+            }
+            for one in chosen
+        ]
+        progress.start(len(chosen) * len(size.pictures) * len(size.motions), f"whole reconstructions, ×{scale}")
+        try:
+            for picture in size.pictures:
+                for motion in size.motions:
+                    made = recorded(picture, scale=scale, sensor=size.sensor, motion=motion, seed=seed)
+                    truth, recording, calls = made.truth(len(made.spikes) // 2), recording_of(made), {}
+                    for number, (row, one) in enumerate(zip(rows, chosen, strict=True)):
+                        ratio, likeness = quality(truth, one.picture(recording), scale)  # compiles, too
+                        row["recordings"].append(f"{picture}, {motion}")
+                        row["psnr"].append(ratio)
+                        row["ssim"].append(likeness)
+                        calls[number] = lambda one=one, recording=recording: np.asarray(one.picture(recording))
+                        if row["peak"] is None:
+                            peak.reset()
+                            calls[number]()
+                            row["peak"] = peak.read()
+                        progress.advance(1)
+                    for number, seconds in in_turns(calls, size.rounds).items():
+                        rows[number]["seconds"].append(seconds)
+        finally:
+            progress.finish()
+        points = [(float(np.median(row["seconds"])), float(np.mean(row["psnr"]))) for row in rows]
+        for row, on_it in zip(rows, front(points), strict=True):
+            row["front"] = on_it
+        found[str(scale)] = rows
+    return found

@@ -1,0 +1,73 @@
+"""A guard against becoming slower that no noise can set off: counts, compared with those in counts.json.
+
+What is a change on purpose, or another version of XLA (`jax` in the file says which it was), is taken over by
+
+    .venv/bin/python -m benchmarks.bench_counts --write tests/benchmarks/counts.json
+
+after a look at what changed. The margins leave room for other processors, for which XLA fuses somewhat differently and
+adds up in another order; to do an iteration's work twice, or to lose a fusion of the dual steps, is far beyond them.
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import jax
+import pytest
+
+from benchmarks import bench_counts
+
+RECORDED = json.loads((Path(__file__).parent / "counts.json").read_text(encoding="utf-8"))
+# Of iterations: rounding decides about one at each restart, which comes every ten or so.
+MORE_ITERATIONS, AT_LEAST = 0.2, 1
+# Operations follow from the formulas, unless XLA calculates something twice to fuse more; bytes and kernels from what
+# is fused.
+MARGINS = {"operations a pixel": 0.15, "bytes a pixel": 0.25, "bytes held a pixel": 0.25, "fusions": 0.25}
+
+
+@contextmanager
+def compiled_quickly() -> Iterator[None]:
+    """Where it does not matter how well it is compiled."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
+def test_no_solver_needs_more_iterations():
+    with compiled_quickly():
+        counted = bench_counts.iterations()
+    assert set(counted) == set(RECORDED["iterations"])
+    for solver, recorded in RECORDED["iterations"].items():
+        for gap, number in recorded.items():
+            most = number + max(AT_LEAST, MORE_ITERATIONS * number)
+            assert counted[solver].get(gap, 10**6) <= most, f"{solver} to a gap of {gap}, {number} before"
+
+
+def test_no_iteration_does_more():
+    """Less is no failure; but let the file know of it, so that it is kept."""
+    counted = bench_counts.programs()
+    assert set(counted) == set(RECORDED["programs"])
+    for name, recorded in RECORDED["programs"].items():
+        for what, margin in MARGINS.items():
+            assert 0 < counted[name][what] <= (1 + margin) * recorded[what], f"{name}: {what}, {recorded[what]} before"
+
+
+def test_the_same_shape_compiles_nothing_again():
+    with compiled_quickly():
+        counted = bench_counts.compilations_again()
+    assert counted["first"] > 0 and counted["second"] == 0
+
+
+@pytest.mark.parametrize("name", ["iterations", "programs"])
+def test_the_file_is_what_is_counted(name, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(bench_counts, "iterations", lambda: {"FISTA": {"1e-01": 1}})
+    monkeypatch.setattr(bench_counts, "programs", lambda: {"FISTA": {"fusions": 2}})
+    monkeypatch.setattr("sys.argv", ["bench_counts", "--write", str(tmp_path / "counts.json")])
+    bench_counts.main()
+    told = json.loads((tmp_path / "counts.json").read_text())
+    assert set(told) == set(RECORDED) and told[name] == getattr(bench_counts, name)()
+    assert json.loads(capsys.readouterr().out) == told

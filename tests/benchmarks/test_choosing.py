@@ -15,6 +15,8 @@ from scsr_opt.solvers import FISTA, CondatVu, DualityGap, Problem, Solver, run
 
 PAGE = Path(__file__).parents[2] / "docs" / "choosing.md"
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 @pytest.fixture(scope="module")
 def case() -> choosing_cases.Case:

@@ -9,6 +9,8 @@ from scsr_opt.priors import HuberTotalVariation, TotalVariation, bands
 
 PRIORS = [HuberTotalVariation(), HuberTotalVariation(iterations=2), TotalVariation(), TotalVariation(isotropic=False)]
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 @pytest.mark.parametrize("prior", PRIORS, ids=lambda prior: f"{type(prior).__name__} {prior.iterations}")
 @pytest.mark.parametrize("shape", [(97, 31), (200, 8)])

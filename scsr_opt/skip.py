@@ -52,7 +52,7 @@ class Kind(enum.IntEnum):
 
 _REASONS = {
     Kind.STATIC: "nothing moves: one measurement for each pixel, no motion",
-    Kind.UNIFORM: "nothing moves and nothing is to be resolved: as static, and settled after a few iterations",
+    Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as static",
     Kind.MOVING: "moves: every interval is placed on its own",
     Kind.DARK: f"fewer than {_DARK:g} spikes a pixel: what there is is used in full, and smoothed",
     Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",

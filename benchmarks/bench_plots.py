@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.bench_scaling import PARTS
@@ -60,17 +61,41 @@ def _solvers(rows: list[dict[str, Any]]) -> Figure:
 def _front(scale: str, rows: list[dict[str, Any]]) -> Figure:
     drawn = Figure(figsize=(7.5, 4.6), dpi=80, layout="constrained")
     axes = drawn.subplots()
-    for number, row in enumerate(sorted(rows, key=lambda row: np.mean(row["psnr"]))):
+    places = []
+    for row in sorted(rows, key=lambda row: np.mean(row["psnr"])):
         at = (float(np.median(row["seconds"])), float(np.mean(row["psnr"])))
         usual = row["kind"] == "default"
         axes.plot(*at, marker="*" if usual else "o", markersize=14 if usual else 6, color=_COLOURS[row["kind"]])
-        axes.annotate(row["method"], at, xytext=(6, (3, -9)[number % 2]), textcoords="offset points", fontsize=7)
+        places.append((row["method"], at))
     best = sorted((float(np.median(row["seconds"])), float(np.mean(row["psnr"]))) for row in rows if row["front"])
     axes.step(*zip(*best, strict=True), where="post", color="grey", linewidth=0.8, zorder=0)
     axes.set(xscale="log", xlabel="seconds, compiled", ylabel="PSNR, dB", title=f"×{scale}")
     axes.margins(x=0.15)
     axes.grid(alpha=0.3)
+    drawn.draw_without_rendering()  # only then it is known where what lies
+    _name(axes, places)
     return drawn
+
+
+def _name(axes: Axes, places: list[tuple[str, tuple[float, float]]]) -> None:
+    """The names beside their points, each where it covers none of those before, or lowest of all."""
+    points = 72 / axes.figure.dpi
+    right = axes.get_window_extent().x1 * points
+    taken: list[tuple[float, float, float]] = []
+    for name, at in places:
+        x, y = axes.transData.transform(at) * points
+        wide = 4.0 * len(name)
+        beside = [6.0] if x + 6 + wide < right else []
+        offsets = [(dx, dy) for dy in (-2.5, 6.0, -11.0, 14.5, -19.5) for dx in (*beside, -6 - wide)]
+
+        def free(offset: tuple[float, float], x: float = x, y: float = y, wide: float = wide) -> bool:
+            begin, bottom = x + offset[0], y + offset[1]
+            return all(begin > e or begin + wide < b or abs(bottom - other) > 8 for b, e, other in taken)
+
+        dx, dy = next(filter(free, offsets), offsets[-1])
+        taken.append((x + dx, x + dx + wide, y + dy))
+        behind = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 0.5}
+        axes.annotate(name, at, xytext=(dx, dy), textcoords="offset points", fontsize=7, bbox=behind)
 
 
 def _scaling(found: dict[str, Any]) -> Figure:

@@ -9,6 +9,8 @@ import pytest
 from learned.gradient import GradientModule
 from learned.layers import fold, scale_down, scale_up, unfold
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 
 def tiny(scale: int, working_scale: int) -> GradientModule:
     sizes = {"degradation": 1, "refinement": 1, "groups": 1, "levels": 1}

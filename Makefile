@@ -19,7 +19,7 @@ help:
 	@echo 'make peers       other libraries on the same two problems (makes their environments; about 11 minutes)'
 	@echo 'make choosing    solvers and priors timed anew for docs/choosing.md (about 6 minutes)'
 	@echo 'make stress      thousands of solves that could break, for docs/stability.md (about 30 minutes)'
-	@echo 'make bench       speed and accuracy in figures, for docs/benchmarks.md (about 30 minutes)'
+	@echo 'make bench       speed and accuracy in figures, for docs/benchmarks.md '
 	@echo 'make picture     remake the picture of the README'
 	@echo 'make setup       only make .venv and install'
 	@echo 'make constraints take the newest versions that go together into constraints.txt'

@@ -13,8 +13,7 @@ from benchmarks.bench_published import OURS, PUBLISHED, SETS, mean
 from benchmarks.bench_scaling import PARTS
 from benchmarks.bench_solvers import DEFAULT_SOLVER
 from benchmarks.bench_timing import Spread, ratios, spread
-from benchmarks.choosing_page import MARKS, table
-from scsr_opt.errors import InputError
+from benchmarks.choosing_page import MARKS, check_page, table
 from scsr_opt.report import whole_file
 
 _MEGA, _GIGA, _MILLI = 1e6, 1e9, 1e3
@@ -26,15 +25,6 @@ _PARTS = {
     "data terms": "Spikes counted in windows of 8 frames",
     "precisions": "In float64",
 }
-
-
-def check_page(path: Path) -> None:
-    """**Raises:** `InputError` if there is no page with both marks."""
-    text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    if any(text.count(mark) != 1 for mark in MARKS):
-        raise InputError(
-            f"--page {path} is no page with the marks {MARKS[0]} and {MARKS[1]}, such as docs/benchmarks.md."
-        )
 
 
 def write(path: Path, report: Report) -> None:

@@ -11,9 +11,19 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.choosing_solvers import GAPS
+from scsr_opt.errors import InputError
 from scsr_opt.report import detailed_part, quantise, whole_file
 
 MARKS = ("<!-- measured: begin -->", "<!-- measured: end -->")
+
+
+def check_page(path: Path) -> None:
+    """**Raises:** `InputError` if there is no page with both marks."""
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    if any(text.count(mark) != 1 for mark in MARKS):
+        raise InputError(
+            f"--page {path} is no page with the marks {MARKS[0]} and {MARKS[1]}, as docs/benchmarks.md has them."
+        )
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.choosing_page import MARKS, table
+from benchmarks.choosing_page import MARKS, check_page, table
 from benchmarks.stress import Report, fault
 from benchmarks.stress_conditioning import STRENGTH, Condition
 from benchmarks.stress_solve import Finding
-from scsr_opt.errors import InputError
 from scsr_opt.report import whole_file
 
 # Failures that are written out.
@@ -26,15 +25,6 @@ _OUTCOMES = {
     "refused": "refused",
     "raised": "raised",
 }
-
-
-def check_page(path: Path) -> None:
-    """**Raises:** `InputError` if there is no page with both marks."""
-    text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    if any(text.count(mark) != 1 for mark in MARKS):
-        raise InputError(
-            f"--page {path} is no page with the marks {MARKS[0]} and {MARKS[1]}, such as docs/stability.md."
-        )
 
 
 def _counts(findings: list[Finding], key: Callable[[Finding], str], head: str) -> str:

@@ -5,9 +5,8 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
 - **Motion.** Nothing is estimated where the recording does not contradict rest, one motion where it does not contradict
   that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`).
 - **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
-  pixel: a pixel at rest gives one, with its ends, however long the recording. What is hidden or has left the picture
-  gives none.
-- **Exposures.** The rounds that correct for motion during an exposure end when the picture has settled (`Rounds`).
+  pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording. What is
+  hidden or has left the picture gives none.
 
 `Plan` says of each tile of the sensor which of these apply, and why.
 """

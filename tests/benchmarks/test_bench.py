@@ -26,7 +26,7 @@ from benchmarks import (
 from benchmarks.choosing_page import MARKS
 from scsr_opt.camera.measuring import Intervals, Windows
 from scsr_opt.cli import bench as command
-from scsr_opt.cli import main
+from scsr_opt.cli import main, measuring
 from scsr_opt.errors import InputError
 from scsr_opt.operators.sampling import accumulate
 from scsr_opt.solvers import FISTA
@@ -255,7 +255,7 @@ def test_an_unknown_family_is_a_bad_request(capsys):
 
 
 def test_without_the_benchmarks_it_says_where_to_go(monkeypatch, capsys):
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    monkeypatch.setattr(measuring, "find_spec", lambda name: None)
     assert main(["bench"]) == 2
     assert "needs the project's own folder" in capsys.readouterr().err
 

@@ -9,7 +9,7 @@ from benchmarks import stress_page
 from benchmarks.choosing_page import MARKS
 from benchmarks.stress_cases import Case
 from benchmarks.stress_solve import Finding
-from scsr_opt.cli import main
+from scsr_opt.cli import main, measuring
 from scsr_opt.cli import stress as command
 
 PAGE = Path(__file__).parents[2] / "docs" / "stability.md"
@@ -72,7 +72,7 @@ def test_an_unknown_family_is_a_bad_request(capsys):
 
 
 def test_without_the_benchmarks_it_says_where_to_go(monkeypatch, capsys):
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    monkeypatch.setattr(measuring, "find_spec", lambda name: None)
     assert main(["stress"]) == 2
     assert "needs the project's own folder" in capsys.readouterr().err
 

@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks import bench_iteration, bench_roofline, bench_scaling, bench_solvers, bench_whole
 from benchmarks.bench_cases import FULL, QUICK, Size
 from benchmarks.bench_timing import hardware
+from benchmarks.journal import Journal
 from benchmarks.stress import machine
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
@@ -67,12 +68,14 @@ def bench(
     quick: bool = False,
     only: Sequence[str] = (),
     size: Size | None = None,
+    kept: Path | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Measures all families, or those of `only`.
 
     **Arguments:** `seed`: of the recordings' noise. `quick`: small recordings and a part of the methods. `size`: stands
-    in for what `quick` chooses. `progress`: told of the cases.
+    in for what `quick` chooses. `kept`: a file for the families that are done, so that a run which was stopped goes on
+    from there (`Journal`). `progress`: told of the cases.
 
     **Raises:** `InputError` for a family that does not exist, or a seed below 0.
     """
@@ -83,20 +86,19 @@ def bench(
         raise InputError(f"seed is {seed}, but it must be a whole number of at least 0.")
     size = (QUICK if quick else FULL) if size is None else size
     progress = NoProgress() if progress is None else progress
-    begin, figures, seconds = time.perf_counter(), {}, {}
-    for name, measure in FAMILIES.items():
-        if only and name not in only:
-            continue
-        started = time.perf_counter()
-        figures[name] = measure(size, seed, progress)
-        seconds[name] = time.perf_counter() - started
-        if name == "solvers":  # two precisions of much that nobody needs any more
-            jax.clear_caches()
-    about = {
-        **machine(), **hardware(), "seed": seed, "quick": quick, "only": list(only), "size": size._asdict(),
-        "seconds_of": seconds, "seconds": time.perf_counter() - begin,
-    }  # fmt: skip
-    return Report(figures, about)
+    asked = {**machine(), **hardware(), "seed": seed, "quick": quick, "only": list(only), "size": size._asdict()}
+    with Journal(kept, asked) as journal:
+        for name, measure in FAMILIES.items():
+            if name in journal.found or (only and name not in only):
+                continue
+            begin = time.perf_counter()
+            figures = measure(size, seed, progress)
+            journal.add(name, (figures, time.perf_counter() - begin))
+            if name == "solvers":  # two precisions of much that nobody needs any more
+                jax.clear_caches()
+    seconds = {name: taken for name, (_, taken) in journal.found.items()}
+    about = {**asked, "seconds_of": seconds, "seconds": sum(seconds.values())}
+    return Report({name: figures for name, (figures, _) in journal.found.items()}, about)
 
 
 def _said_of_solvers(rows: list[dict[str, Any]]) -> list[str]:
@@ -117,11 +119,11 @@ def _said_of_solvers(rows: list[dict[str, Any]]) -> list[str]:
 
 def _said_of_whole(found: dict[str, Any]) -> list[str]:
     said = []
-    for scale, rows in found.items():
+    for case, rows in found.items():
         usual = next(row for row in rows if row["kind"] == "default")
         where = "on the front of time and accuracy" if usual["front"] else "not on the front of time and accuracy"
         seconds = float(np.median(usual["seconds"]))
-        said.append(f"×{scale}: reconstruct {np.mean(usual['psnr']):.2f} dB in {seconds:.2f} s, {where}")
+        said.append(f"{case}: reconstruct {np.mean(usual['psnr']):.2f} dB in {seconds:.2f} s, {where}")
     return said
 
 

@@ -40,7 +40,7 @@ class Size(NamedTuple):
       validated and memory is looked at for each solver; both take a compilation more.
     - `sensor`: side of the sensor, pixels, for solvers and whole reconstructions; `rounds` of timing.
     - `exact`: iterations for a minimum. `seconds`: in which a solver has to reach a gap.
-    - `pictures`, `motions`: of the whole reconstructions.
+    - `pictures`, `motions`, `lights`: of the whole reconstructions; `repeats` of timing each.
     - `frames`: numbers of them on a sensor of `still` pixels a side; `sides` of sensors with `FRAMES` frames.
     - `picture`: (H, W) of the kernels and of the statement about one iteration.
     - `accumulated`: (frames, h, w, scale) of the statement about M and c.
@@ -57,6 +57,8 @@ class Size(NamedTuple):
     seconds: float
     pictures: tuple[str, ...]
     motions: tuple[str, ...]
+    lights: tuple[str, ...]
+    repeats: int
     frames: tuple[int, ...]
     still: int
     sides: tuple[int, ...]
@@ -66,14 +68,15 @@ class Size(NamedTuple):
 
 FULL = Size(
     scales=(2, 4), solvers=None, priors=None, methods=None, careful=True, sensor=100, rounds=5, exact=500, seconds=1.5,
-    pictures=("camera", "brick", "moon"), motions=("pan", "turn", "object"), frames=(20, 60, 200, 600, 2000), still=64,
-    sides=(64, 125, 250, 500, 1000), picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
+    pictures=("camera", "brick"), motions=("pan", "turn", "object"), lights=("day", "dim"), repeats=2,
+    frames=(20, 60, 200, 600, 2000), still=64, sides=(64, 125, 250, 500, 1000),
+    picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
 )  # fmt: skip
 QUICK = Size(
     scales=(2,), solvers=("ISTA", "FISTA", "ADMM", "CondatVu", "LBFGS"), priors=("TV",),
     methods=("reconstruct", "reconstruct, Global motion", "unrolled", "shift_and_add", "tfp_bicubic", "tfp_sr"),
-    careful=False, sensor=40, rounds=5, exact=200, seconds=0.3, pictures=("camera",), motions=("pan",),
-    frames=(20, 101), still=40, sides=(40, 80), picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
+    careful=False, sensor=40, rounds=5, exact=200, seconds=0.3, pictures=("camera",), motions=("pan",), lights=("day",),
+    repeats=5, frames=(20, 101), still=40, sides=(40, 80), picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
 )  # fmt: skip
 
 
@@ -96,12 +99,14 @@ def recorded(
     frames: int = FRAMES,
     motion: str = "pan",
     speed: float = 1.0,
+    light: str = "day",
     seed: int = 0,
 ) -> Simulation:
-    """The recording of a still by day.
+    """The recording of a still.
 
     **Arguments:** `sensor`: its side, pixels; `motion`: "pan", a translation by 0.14 sensor pixels per frame; "turn", a
-    rotation by 0.0012 radians per frame; "object", an ellipse that passes a still background; `speed`: a factor on it.
+    rotation by 0.0012 radians per frame; "object", an ellipse that passes a still background; `speed`: a factor on it;
+    `light`: "day" or "dim".
     """
     size, key = sensor * scale, frames // 2
     drift = (VELOCITY[0] * scale * speed, VELOCITY[1] * scale * speed)
@@ -112,7 +117,7 @@ def recorded(
         "object": lambda: MovingObject(picture, still_of("coffee", size // 2), drift, key=key),
     }
     scene: Scene = scenes[motion]()
-    return simulate(scene, scale=scale, frames=frames, sensor=LIGHTS["day"], seed=seed)
+    return simulate(scene, scale=scale, frames=frames, sensor=LIGHTS[light], seed=seed)
 
 
 def recording_of(made: Simulation) -> Recording:
@@ -136,12 +141,12 @@ def posed(made: Simulation, measuring: Measuring, *, careful: bool) -> Posed:
     recording, (height, width) = recording_of(made), made.gain.shape
     key, stream = stream_around(recording, key=None, frames=recording.frames, white_rate=None)
     motion = given(VELOCITY, height, width)
-    placed = measured(stream, motion, scale=made.scale, measuring=measuring).placed
+    taken = measured(stream, motion, scale=made.scale, measuring=measuring)
+    placed = taken.placed
     if careful:
         strength = validated_strength(
-            stream, motion, scale=made.scale, positions=placed.positions, prior=HuberTotalVariation(), solver=FISTA(),
-            measuring=measuring,
-        )  # fmt: skip
+            stream, motion, taken, scale=made.scale, prior=HuberTotalVariation(), solver=FISTA(), measuring=measuring,
+        ).strength  # fmt: skip
     else:
         share = _FOR_WINDOWS if isinstance(measuring, Windows) else 1
         strength = share * _STRENGTH * 2 / made.scale

@@ -120,7 +120,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
         "memory, MB",
         "on the front",
     ]
-    for scale, rows in found.items():
+    for case, rows in found.items():
         usual = next(row for row in rows if row["kind"] == "default")
         verdict = "**is**" if usual["front"] else "is **not**"
         over = ", ".join(
@@ -130,7 +130,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
             and np.mean(row["psnr"]) >= np.mean(usual["psnr"])
             and np.median(row["seconds"]) <= np.median(usual["seconds"])
         )
-        said = f"**×{scale}**, {', '.join(usual['recordings'])}: the default {verdict} on the front"
+        said = f"**{case}** ({'; '.join(usual['recordings'])}): the default {verdict} on the front"
         parts.append(said + (f"; at least as good and as fast: {over}." if over else "."))
         lines = []
         for row in sorted(rows, key=lambda row: -np.mean(row["psnr"])):

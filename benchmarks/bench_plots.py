@@ -24,8 +24,8 @@ def plots(figures: dict[str, Any]) -> dict[str, Callable[[], Figure]]:
     found: dict[str, Callable[[], Figure]] = {}
     if figures.get("solvers"):
         found["solvers"] = partial(_solvers, figures["solvers"])
-    for scale, rows in figures.get("whole", {}).items():
-        found[f"whole_x{scale}"] = partial(_front, scale, rows)
+    for case, rows in figures.get("whole", {}).items():
+        found[f"whole_{case.replace('×', 'x').replace(', ', '_')}"] = partial(_front, case, rows)
     if "scaling" in figures:
         found["scaling"] = partial(_scaling, figures["scaling"])
     if "roofline" in figures:
@@ -58,7 +58,7 @@ def _solvers(rows: list[dict[str, Any]]) -> Figure:
     return drawn
 
 
-def _front(scale: str, rows: list[dict[str, Any]]) -> Figure:
+def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
     drawn = Figure(figsize=(7.5, 4.6), dpi=80, layout="constrained")
     axes = drawn.subplots()
     places = []
@@ -69,7 +69,7 @@ def _front(scale: str, rows: list[dict[str, Any]]) -> Figure:
         places.append((row["method"], at))
     best = sorted((float(np.median(row["seconds"])), float(np.mean(row["psnr"]))) for row in rows if row["front"])
     axes.step(*zip(*best, strict=True), where="post", color="grey", linewidth=0.8, zorder=0)
-    axes.set(xscale="log", xlabel="seconds, compiled", ylabel="PSNR, dB", title=f"×{scale}")
+    axes.set(xscale="log", xlabel="seconds, compiled", ylabel="PSNR, dB", title=case)
     axes.margins(x=0.15)
     axes.grid(alpha=0.3)
     drawn.draw_without_rendering()  # only then it is known where what lies

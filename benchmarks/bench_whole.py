@@ -1,5 +1,6 @@
 """Whole reconstructions: time against accuracy, for `reconstruct` and its variants, learned models and baselines."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -73,29 +74,20 @@ def front(points: list[tuple[float, float]]) -> list[bool]:
 
 
 def measure(size: Size, seed: int, progress: Progress) -> dict[str, list[dict[str, Any]]]:
-    """For each scale, as a string, a row for each method, ready for JSON: `psnr` (dB) and `ssim` of each recording,
-    `seconds` of each round of each recording, `peak` memory of the process (bytes) during one call, `front`."""
+    """For each scale and light ("×2, day") a row for each method, ready for JSON: `psnr` (dB) and `ssim` of each
+    recording, `seconds` of each round of each recording, `peak` memory of the process (bytes) during one call,
+    `front`."""
     found: dict[str, list[dict[str, Any]]] = {}
     peak = Peak()
     for scale in size.scales:
         chosen = methods(scale, size.methods)
-        rows = [
-            {
-                "method": one.name,
-                "kind": one.kind,
-                "recordings": [],
-                "psnr": [],
-                "ssim": [],
-                "seconds": [],
-                "peak": None,
-            }
-            for one in chosen
-        ]
-        progress.start(len(chosen) * len(size.pictures) * len(size.motions), f"whole reconstructions, ×{scale}")
+        each = len(size.pictures) * len(size.motions) * len(size.lights)
+        progress.start(len(chosen) * each, f"whole reconstructions, ×{scale}")
         try:
-            for picture in size.pictures:
-                for motion in size.motions:
-                    made = recorded(picture, scale=scale, sensor=size.sensor, motion=motion, seed=seed)
+            for light in size.lights:
+                found[f"×{scale}, {light}"] = rows = [_row(one) for one in chosen]
+                for picture, motion in itertools.product(size.pictures, size.motions):
+                    made = recorded(picture, scale=scale, sensor=size.sensor, motion=motion, light=light, seed=seed)
                     truth, recording, calls = made.truth(len(made.spikes) // 2), recording_of(made), {}
                     for number, (row, one) in enumerate(zip(rows, chosen, strict=True)):
                         ratio, likeness = quality(truth, one.picture(recording), scale)  # compiles, too
@@ -108,12 +100,17 @@ def measure(size: Size, seed: int, progress: Progress) -> dict[str, list[dict[st
                             calls[number]()
                             row["peak"] = peak.read()
                         progress.advance(1)
-                    for number, seconds in in_turns(calls, size.rounds).items():
+                    for number, seconds in in_turns(calls, size.repeats).items():
                         rows[number]["seconds"].append(seconds)
+                points = [(float(np.median(row["seconds"])), float(np.mean(row["psnr"]))) for row in rows]
+                for row, on_it in zip(rows, front(points), strict=True):
+                    row["front"] = on_it
         finally:
             progress.finish()
-        points = [(float(np.median(row["seconds"])), float(np.mean(row["psnr"]))) for row in rows]
-        for row, on_it in zip(rows, front(points), strict=True):
-            row["front"] = on_it
-        found[str(scale)] = rows
     return found
+
+
+def _row(of: Method) -> dict[str, Any]:
+    return {
+        "method": of.name, "kind": of.kind, "recordings": [], "psnr": [], "ssim": [], "seconds": [], "peak": None,
+    }  # fmt: skip

@@ -22,6 +22,7 @@ from typing import Any
 
 import jax
 
+from benchmarks.journal import Journal
 from benchmarks.stress_cases import FAMILIES, Case, cases
 from benchmarks.stress_conditioning import Condition, conditions
 from benchmarks.stress_run import examine
@@ -84,12 +85,14 @@ def stress(
     quick: bool = False,
     only: Sequence[str] = (),
     workers: int | None = None,
+    kept: Path | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Runs all cases, or those of the families `only`.
 
     **Arguments:** `seed`: of what is random. `quick`: a tenth of the cases. `workers`: processes, as many as there are
-    cores (two at most) if not given; 1 stays in this one. `progress`: told of the cases.
+    cores (two at most) if not given; 1 stays in this one. `kept`: a file for the cases that are done, so that a run
+    which was stopped goes on from there (`Journal`). `progress`: told of the cases.
 
     **Raises:** `InputError` for a family that does not exist, or fewer than one worker.
     """
@@ -100,22 +103,26 @@ def stress(
     if workers < 1:
         raise InputError(f"workers is {workers}, but it must be at least 1.")
     progress = NoProgress() if progress is None else progress
-    begin = time.perf_counter()
     chosen = [case for case in cases(seed, quick=quick) if not only or case.family in only]
     groups = [list(group) for _, group in itertools.groupby(chosen, lambda case: case.program)]
-    findings: list[Finding] = []
-    progress.start(len(chosen), "stress cases")
-    try:
-        for found in _examined(groups, workers):
-            findings += found
-            progress.advance(len(found))
-    finally:
-        progress.finish()
-    found_conditions = conditions(quick=quick) if not only or "conditioning" in only else []
-    about = {
-        **machine(), "seed": seed, "quick": quick, "only": list(only), "programs": len(groups),
-        "seconds": time.perf_counter() - begin,
-    }  # fmt: skip
+    asked = {**machine(), "seed": seed, "quick": quick, "only": list(only), "programs": len(groups)}
+    with Journal(kept, asked) as journal:
+        progress.start(len(chosen), "stress cases")
+        try:
+            done = len(journal.found)
+            progress.advance(sum(len(group) for group in groups[:done]))
+            begin = time.perf_counter()
+            for number, found in enumerate(_examined(groups[done:], workers), done):
+                journal.add(str(number), (found, time.perf_counter() - begin))
+                begin = time.perf_counter()
+                progress.advance(len(found))
+        finally:
+            progress.finish()
+        begin = time.perf_counter()
+        found_conditions = conditions(quick=quick) if not only or "conditioning" in only else []
+    seconds = time.perf_counter() - begin + sum(taken for _, taken in journal.found.values())
+    findings = [finding for found, _ in journal.found.values() for finding in found]
+    about = {**asked, "seconds": seconds}
     return Report(tuple(findings), tuple(found_conditions), about)
 
 

@@ -149,20 +149,21 @@ def pose(
     gains = None if gain is None else pixel_gain(gain, moment.recording.height, moment.recording.width)
     motion = estimate_motion(stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
     measuring = Intervals()
-    placed = measured(stream, motion, scale=scale, measuring=measuring, gain=gains).placed
+    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains)
+    placed = taken.placed
     if strength is not None:
         λ = prior_strength(strength)
     elif stream.spikes.any() and bool(jnp.any(placed.weight > 0)):
         λ = validated_strength(
             stream,
             motion,
+            taken,
             scale=scale,
-            positions=placed.positions,
             prior=prior,
             solver=FISTA(),
             measuring=measuring,
             gain=gains,
-        )
+        ).strength
     else:
         λ = 0.0  # nothing is known of the noise, and nothing will be solved
     return Posed(

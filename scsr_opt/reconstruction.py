@@ -158,17 +158,17 @@ def reconstruct(
         progress=progress,
         keep_images=keep_images,
     )
-    image = first_picture(stream, shape)
+    image, near = first_picture(stream, shape), None
     learned: dict[str, float] = {}
     if lens is not optics:
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
     if strength is None and robust is None:  # outliers that were held out would decide
-        λ = validated_strength(
+        λ, near = validated_strength(
             stream,
             motion,
+            taken,
             scale=scale,
-            positions=taken.placed.positions,
             prior=rounds.prior,
             solver=rounds.solver,
             measuring=measuring,
@@ -178,7 +178,7 @@ def reconstruct(
         )
         rounds = replace(rounds, strength=jnp.asarray(λ, jnp.float32))
     clock.lap("strength")
-    found = rounds(taken.placed, image, state)
+    found = rounds(taken.placed, image, state, near=near)
     stages = found.outcome.stages
     measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
     for _ in range(_TURNS if blind else 0):

@@ -53,8 +53,16 @@ class Rounds:
     progress: Progress | None
     keep_images: bool
 
-    def __call__(self, placed: PlacedSamples, image: Float[Array, "H W"], state: Any = None) -> Found:
-        """Solves from the picture `image`, or goes on from the `state` of a solve of something similar.
+    def __call__(
+        self,
+        placed: PlacedSamples,
+        image: Float[Array, "H W"],
+        state: Any = None,
+        *,
+        near: Float[Array, "H W"] | None = None,
+    ) -> Found:
+        """Solves from the picture `image`, or from one that is known to be `near` the solution, or goes on from the
+        `state` of a solve of something similar.
 
         **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
         """
@@ -62,9 +70,13 @@ class Rounds:
         rounds = 1 + (CORRECTIONS if placed.positions > 1 or self.robust is not None else 0)
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
-            term, rounds = self._corrected(plain, placed, self.solver.image(state)), max(rounds - 1, 1)
+            near = self.solver.image(state)
+        elif near is not None:
+            image = near
+        if near is not None:
+            term, rounds = self._corrected(plain, placed, near), max(rounds - 1, 1)
         stages: list[Stage] = []
-        before, momentum, settled = None, 1.0, False
+        before, momentum, settled = near, 1.0, False
         for following in reversed(range(rounds)):
             last = settled or not following
             outcome = run(

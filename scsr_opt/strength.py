@@ -23,7 +23,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, place, with_exposure
-from scsr_opt.placing import Stream
+from scsr_opt.placing import Measurements, Stream
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
@@ -83,6 +83,14 @@ def noise_of_mean(stream: Stream) -> float:
     return (noise / len(stream.spikes)) ** 0.5
 
 
+class Validated(NamedTuple):
+    """A strength λ, and the last picture that was made to find it, (H, W), where that is of the whole sensor: a start
+    much nearer to the solution than playback."""
+
+    strength: float
+    image: Float[Array, "H W"] | None
+
+
 class _Validation(NamedTuple):
     """Samples to make a picture from, and the weights of those to predict."""
 
@@ -94,25 +102,25 @@ class _Validation(NamedTuple):
 def validated_strength(
     stream: Stream,
     motion: Motion,
+    taken: Measurements,
     *,
     scale: int,
-    positions: int,
     prior: Prior,
     solver: Solver,
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
     optics: LinearOperator | None = None,
     noise: float | None = None,
-) -> float:
+) -> Validated:
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
 
     Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A middle part of the
     picture serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor; a lens makes
     that part the whole picture, as its blur is made for one size.
 
-    **Arguments:** `positions` along an exposure, `prior`, `solver`, `measuring`, `gain` and `optics` as for the
-    reconstruction; `FISTA` stands in for solvers that use the prior's proximal step, as it does. `noise`: what
-    `noise_of_mean` finds, if that is known.
+    **Arguments:** `taken`, the measurements of the recording along the motion; `prior`, `solver`, `measuring`, `gain`
+    and `optics` as for the reconstruction; `FISTA` stands in for solvers that use the prior's proximal step, as it
+    does. `noise`: what `noise_of_mean` finds, if that is known.
 
     **Raises:** as `relative_strength`.
     """
@@ -126,21 +134,26 @@ def validated_strength(
         None if stream.bad_pixels is None else stream.bad_pixels[rows, columns],
     )
     gain = None if gain is None else gain[rows, columns]
-    validation = _split(part, motion.part(rows, columns), scale, positions, measuring, gain, optics)
+    positions = taken.placed.positions
+    everything = part.spikes.shape == stream.spikes.shape
+    if everything and (taken.merged_for == 1).all():
+        validation = _split(taken.padded, taken.placed, optics)
+    else:
+        validation = _split(*_apart(part, motion.part(rows, columns), scale, positions, measuring, gain), optics)
     if validation is None:
-        return least
+        return Validated(least, None)
     # A prior that is used by its gradient need not have a proximal step.
     kind = solver if isinstance(solver, Smooth) else FISTA()
     solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
-    image = jnp.full(validation.plain.shape, jnp.mean(validation.placed.value), jnp.float32)
+    image = first = jnp.full(validation.plain.shape, jnp.mean(validation.placed.value), jnp.float32)
     term, state = validation.plain, None
     tried: dict[float, float] = {}
 
     def solved(factor: float) -> Array:
-        nonlocal state
-        outcome = run(solver, Problem(term, prior, jnp.asarray(least * factor, jnp.float32)), image, similar=state)
-        state = outcome.state
-        return jnp.asarray(outcome.image)
+        nonlocal state, image
+        outcome = run(solver, Problem(term, prior, jnp.asarray(least * factor, jnp.float32)), first, similar=state)
+        state, image = outcome.state, jnp.asarray(outcome.image)
+        return image
 
     for _ in range(2 if positions > 1 else 0):  # the motion during exposures is taken from these
         term = with_exposure(validation.plain, validation.placed, solved(1.0))
@@ -155,7 +168,8 @@ def validated_strength(
         best *= 2
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2
-    return least * max(_AT_LEAST, _BEYOND * best * 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best)))
+    factor = _BEYOND * best * 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
+    return Validated(least * max(_AT_LEAST, factor), image if everything else None)
 
 
 def _middle(length: int, part: int) -> slice:
@@ -163,22 +177,20 @@ def _middle(length: int, part: int) -> slice:
     return slice(begin, min(begin + part, length))
 
 
-def _split(
+def _apart(
     stream: Stream,
     motion: Motion,
     scale: int,
     positions: int,
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None,
-    optics: LinearOperator | None,
-) -> _Validation | None:
-    """The samples, every fifth stretch of them held out; None if there are too few to do so."""
+) -> tuple[Samples, PlacedSamples]:
+    """Samples of which none are merged, as what is held out has to be in pieces; padded, and at their places."""
     frames, height, width = stream.spikes.shape
-    each = np.ones((height, width), np.int32)  # nothing is merged: what is held out has to be in pieces
+    each = np.ones((height, width), np.int32)
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=each, bad_pixels=stream.bad_pixels)
     samples = samples if gain is None else with_gain(samples, gain)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
-    held = _held_out(samples)
     placed = place(
         jax.tree.map(jnp.asarray, samples),
         trajectory_of(motion, key=stream.key, start=0, stop=frames),
@@ -186,7 +198,12 @@ def _split(
         positions=positions,
         shape=(scale * height, scale * width),
     )
-    weight = np.asarray(placed.weight)
+    return samples, placed
+
+
+def _split(samples: Samples, placed: PlacedSamples, optics: LinearOperator | None) -> _Validation | None:
+    """The samples, every fifth stretch of them held out; None if there are too few to do so."""
+    held, weight = _held_out(samples), np.asarray(placed.weight)
     if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
         return None
     rest = eqx.tree_at(lambda p: p.weight, placed, jnp.asarray(weight * ~held))

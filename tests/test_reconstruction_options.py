@@ -181,7 +181,7 @@ def test_going_on_from_a_solution(made, usual):
 
 def test_going_on_counts_for_iterations(made):
     """It begins where the other ended, so corrected at once: one solve less, and a lower objective."""
-    few = {"scale": SCALE, "velocity": VELOCITY, "solver": FISTA(5, tolerance=0)}
+    few = {"scale": SCALE, "velocity": VELOCITY, "solver": FISTA(5, tolerance=0), "strength": 1e-3}
     first = reconstruct(made.spikes, **few)
     assert len(first.stages) == 5 * (1 + CORRECTIONS)
     second = reconstruct(made.spikes, state=first.state, **few)

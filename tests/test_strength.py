@@ -8,9 +8,10 @@ import pytest
 from skimage import data
 
 from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
-from scsr_opt.camera.scenes import Static
+from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.motion import Motion
-from scsr_opt.placing import Stream
+from scsr_opt.motion.estimate import given
+from scsr_opt.placing import Stream, measured
 from scsr_opt.priors import BilateralTotalVariation, Bounded, Prior, TotalVariation, WaveletL1
 from scsr_opt.solvers import FISTA, LBFGS, Solver
 from scsr_opt.strength import _held_out, _middle, _vertex, noise_of_mean, strength_of_noise, validated_strength
@@ -30,7 +31,10 @@ def validated(
     solver: Solver = FISTA(),  # noqa: B008
 ) -> float:
     motion = Motion.none(*stream.spikes.shape[1:])
-    return validated_strength(stream, motion, scale=SCALE, positions=1, prior=prior, solver=solver, measuring=measuring)
+    taken = measured(stream, motion, scale=SCALE, measuring=measuring)
+    return validated_strength(
+        stream, motion, taken, scale=SCALE, prior=prior, solver=solver, measuring=measuring
+    ).strength
 
 
 def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
@@ -85,6 +89,34 @@ class Smoothness(Prior[None]):
 
 def test_a_smooth_prior_needs_no_proximal_step(bricks):
     assert validated(bricks, prior=Smoothness(), solver=LBFGS()) > 0
+
+
+def test_a_picture_comes_with_it_where_all_of_the_sensor_was_looked_at():
+    for height, whole in ((40, True), (130, False)):
+        picture = data.brick()[: 2 * height, :48] / 255
+        stream, motion = still(picture), Motion.none(height, 24)
+        taken = measured(stream, motion, scale=SCALE, measuring=Intervals())
+        image = validated_strength(
+            stream, motion, taken, scale=SCALE, prior=TotalVariation(), solver=FISTA(), measuring=Intervals()
+        ).image
+        assert (image is not None) == whole
+        if image is not None:
+            assert np.abs(np.asarray(image) - picture)[8:-8, 8:-8].mean() < 0.03
+
+
+def test_what_was_measured_serves_again_where_nothing_is_merged():
+    """A scene that moves everywhere: the same strength as from samples that are made anew."""
+    made = simulate(
+        Translation(data.camera()[100:228, 100:228] / 255, (0.2, -0.3), key=20), scale=SCALE, frames=41, seed=0
+    )
+    stream = Stream(made.spikes, 20, made.sensor.white_rate, None)
+    motion = given((0.1, -0.15), *made.spikes.shape[1:])
+    taken = measured(stream, motion, scale=SCALE, measuring=Intervals())
+    assert (taken.merged_for == 1).all()
+    asked = {"scale": SCALE, "prior": TotalVariation(), "solver": FISTA(), "measuring": Intervals()}
+    again = validated_strength(stream, motion, taken, **asked).strength
+    anew = validated_strength(stream, motion, taken._replace(merged_for=2 * taken.merged_for), **asked).strength
+    assert again == anew
 
 
 def test_too_few_samples_leave_the_strength_of_the_noise():

@@ -21,7 +21,10 @@ def bench(
             help="Names of families with commas between: solvers, whole, scaling, roofline, statements. Default: all."
         ),
     ] = None,
-    json: Annotated[Path | None, Parameter(help="File for everything that was measured.")] = None,
+    json: Annotated[
+        Path | None,
+        Parameter(help="File for everything that was measured. With it, a run that was stopped goes on where it was."),
+    ] = None,
     page: Annotated[
         Path | None,
         Parameter(help="A page with the two marks of docs/benchmarks.md: tables go between them, plots beside it."),

@@ -22,6 +22,9 @@ def measure(
 ) -> Any:
     """Runs `benchmarks.<name>`, writes its report to `json` and `page`, says its summary, and returns it.
 
+    A run that is stopped leaves what it has done beside `json`, in a file that ends in `.partial`: the same command
+    goes on from there.
+
     **Arguments:** `families`: what `only` names, with an example, for the sentence that refuses an empty one; the
     others as of the command.
 
@@ -39,7 +42,8 @@ def measure(
     names = [one.strip() for one in (only or "").split(",") if one.strip()]
     if only is not None and not names:
         raise InputError(f"--only names no {families}.")
-    report = getattr(library, name)(seed=seed, quick=quick, only=names, progress=progress(quiet))
+    kept = None if json is None else json.with_name(f"{json.name}.partial")
+    report = getattr(library, name)(seed=seed, quick=quick, only=names, kept=kept, progress=progress(quiet))
     if json is not None:
         report.write(json)
     if page is not None:

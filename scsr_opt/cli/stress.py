@@ -20,7 +20,12 @@ def stress(
             "conditioning, lenses, long, gradients, vmap, door, random. Default: all."
         ),
     ] = None,
-    json: Annotated[Path | None, Parameter(help="File for every case with what was found.")] = None,
+    json: Annotated[
+        Path | None,
+        Parameter(
+            help="File for every case with what was found. With it, a run that was stopped goes on where it was."
+        ),
+    ] = None,
     page: Annotated[
         Path | None,
         Parameter(help="A page with the two marks of docs/stability.md: tables go between them, plots beside it."),

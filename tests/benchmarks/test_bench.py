@@ -35,7 +35,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 # Everything once, as small as it goes.
 TINY = bench_cases.Size(
     scales=(2,), solvers=("FISTA",), priors=(), methods=("reconstruct", "tfp_bicubic"), careful=False, sensor=16,
-    rounds=2, exact=60, seconds=0.05, pictures=("camera",), motions=("pan",), frames=(), still=16, sides=(16,),
+    rounds=2, exact=60, seconds=0.05, pictures=("camera",), motions=("pan",), lights=("day",), repeats=2,
+    frames=(), still=16, sides=(16,),
     picture=(48, 64), accumulated=(21, 12, 16, 4),
 )  # fmt: skip
 
@@ -63,13 +64,33 @@ def test_every_family_says_what_it_found(report):
         assert len(gaps) > 2 and gaps[0] > gaps[-1] and row["compile_seconds"] >= 0
         assert all(len(one["seconds"]) == TINY.rounds for one in row["reached"]) and row["reached"][0]["gap"] == 0.1
         assert all(look["psnr"] > 10 and look["ssim"] <= 1 and look["seconds"] > 0 for look in row["looks"])
-    whole = {row["method"]: row for row in report.figures["whole"]["2"]}
+    whole = {row["method"]: row for row in report.figures["whole"]["×2, day"]}
     assert whole["reconstruct"]["psnr"][0] > whole["tfp_bicubic"]["psnr"][0] + 3 and whole["tfp_bicubic"]["front"]
     (row,) = report.figures["scaling"]["sensor"]
     assert set(row["seconds"][0]) == set(bench_scaling.PARTS) and row["frames"] == bench_cases.FRAMES
     for kernel in report.figures["roofline"]["kernels"]:
         assert kernel["share"] > 0 and kernel["moved"] > 0
     assert report.figures["statements"]["iteration"]["ratio"]["middle"] > 0
+
+
+def test_a_run_that_was_stopped_goes_on_where_it_was(monkeypatch, tmp_path):
+    done: list[str] = []
+
+    def family(name, fails):
+        def measure(size, seed, progress):
+            done.append(name)
+            if fails and done.count(name) == 1:
+                raise KeyboardInterrupt
+            return name.upper()
+
+        return measure
+
+    monkeypatch.setattr(library, "FAMILIES", {name: family(name, name == "b") for name in "abc"})
+    monkeypatch.setattr(library, "machine", lambda: {"commit": "0123"})
+    with pytest.raises(KeyboardInterrupt):
+        library.bench(size=TINY, kept=tmp_path / "kept")
+    assert library.bench(size=TINY, kept=tmp_path / "kept").figures == {"a": "A", "b": "B", "c": "C"}
+    assert done == ["a", "b", "b", "c"] and not (tmp_path / "kept").exists()
 
 
 def test_json_says_on_what_it_was_measured_and_nothing_of_whose_it_is(report, tmp_path):
@@ -95,7 +116,7 @@ def test_the_page_is_written_with_its_plots(report, tmp_path):
     for head in ("### Solvers", "### Whole", "### How it grows", "### How far", "### Two", "### Beside"):
         assert text.count(head) == 1
     assert "the default **is**" in text or "the default is **not**" in text
-    for name in ("solvers", "whole_x2", "scaling", "roofline"):
+    for name in ("solvers", "whole_x2_day", "scaling", "roofline"):
         assert f"](page_{name}.png)" in text
         with Image.open(tmp_path / f"page_{name}.png") as drawn:
             assert min(drawn.size) > 200
@@ -214,8 +235,8 @@ def asked(monkeypatch, tmp_path) -> list[dict]:
     monkeypatch.chdir(tmp_path)
     calls: list[dict] = []
 
-    def stand_in(*, seed, quick, only, progress):
-        calls.append({"seed": seed, "quick": quick, "only": only})
+    def stand_in(*, seed, quick, only, kept, progress):
+        calls.append({"seed": seed, "quick": quick, "only": only, "kept": kept})
         about = {
             **library.machine(), **library.hardware(), "seed": seed, "quick": quick, "only": only, "seconds": 1.0,
         }  # fmt: skip
@@ -229,10 +250,11 @@ def test_the_command(asked, capsys, tmp_path):
     (tmp_path / "page.md").write_text(f"{MARKS[0]}\n{MARKS[1]}\n")
     asking = ["bench", "--quick", "--seed", "5", "--only", "solvers, whole", "--json", "all.json", "--page", "page.md"]
     assert main(asking) == 0
-    assert asked == [{"seed": 5, "quick": True, "only": ["solvers", "whole"]}]
+    kept = Path("all.json.partial")
+    assert asked == [{"seed": 5, "quick": True, "only": ["solvers", "whole"], "kept": kept}]
     assert "in 1 s" in capsys.readouterr().out and (tmp_path / "all.json").stat().st_size > 0
     assert "`scsr bench --quick --seed 5 --only solvers,whole`" in (tmp_path / "page.md").read_text()
-    assert main(["bench", "-q"]) == 0 and capsys.readouterr().out == ""
+    assert main(["bench", "-q"]) == 0 and capsys.readouterr().out == "" and asked[-1]["kept"] is None
 
 
 @pytest.mark.parametrize(
@@ -269,6 +291,6 @@ def test_the_page_is_ready_to_be_written():
     page = DOCS / "benchmarks.md"
     bench_page.check_page(page)
     text = page.read_text(encoding="utf-8")
-    for name in ("solvers", "whole_x2", "scaling", "roofline"):
+    for name in ("solvers", "whole_x2_day", "scaling", "roofline"):
         assert f"benchmarks_{name}.png" in text
         assert 0 < (DOCS / f"benchmarks_{name}.png").stat().st_size < 200_000

@@ -21,7 +21,7 @@ def asked(monkeypatch, tmp_path) -> list[dict]:
     monkeypatch.chdir(tmp_path)
     calls: list[dict] = []
 
-    def stand_in(*, seed, quick, only, progress):
+    def stand_in(*, seed, quick, only, kept, progress):
         calls.append({"seed": seed, "quick": quick, "only": only})
         fails = "lights" in only
         finding = Finding(Case("lights", light="all-one"), "converged", {"ends well": not fails}, {}, "")

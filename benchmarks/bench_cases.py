@@ -68,7 +68,7 @@ class Size(NamedTuple):
 
 FULL = Size(
     scales=(2, 4), solvers=None, priors=None, methods=None, careful=True, sensor=100, rounds=5, exact=500, seconds=1.5,
-    pictures=("camera", "brick"), motions=("pan", "turn", "object"), lights=("day", "dim"), repeats=2,
+    pictures=("camera", "brick", "moon"), motions=("pan", "turn", "object"), lights=("day", "dim"), repeats=1,
     frames=(20, 60, 200, 600, 2000), still=64, sides=(64, 125, 250, 500, 1000),
     picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
 )  # fmt: skip

@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.bench_cases import Size
 from benchmarks.bench_iteration import SCALE, first_state, fused_iteration, placed_of, problem_of
 from benchmarks.bench_timing import in_turns, program
+from scsr_opt.motion.alignment import drift
 from scsr_opt.operators.sampling import accumulate, with_exposure
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import Progress
@@ -27,6 +28,8 @@ from scsr_opt.solvers import ADMM, FISTA, CondatVu, lipschitz_bound
 
 _ROUNDS = 11
 _MATRIX = 1024
+# Pictures that a recording is cut into for its motion.
+_PICTURES = 25
 
 
 class Kernel(NamedTuple):
@@ -98,7 +101,22 @@ def kernels(shape: tuple[int, int], accumulated: tuple[int, int, int, int]) -> d
         lambda t, p, u: with_exposure(t, p, u), (term, placed, jnp.ones(placed.shape)), 36 * count + 11 * picture, None,
         24 * count + 9 * picture,
     )  # fmt: skip
+    found["drift along a motion"] = _drift(accumulated[1], accumulated[2])
     return found
+
+
+def _drift(height: int, width: int) -> Kernel:
+    """What every estimate of motion does again and again: a regression over the pictures along a motion."""
+    pictures = jnp.asarray(np.random.default_rng(0).random((_PICTURES, height, width)), jnp.float32)
+    after = jnp.linspace(-50.0, 50.0, _PICTURES)
+    motion = (jnp.full((2, height, width), 0.1), jnp.zeros((2, height, width)))
+    one = 4 * height * width
+    # Reads the pictures, the key picture and the motion, writes eleven sums. Of a pixel in a picture: position 8,
+    # bilinear 9, inside 4, difference and weight 2, sums 18.
+    return Kernel(
+        lambda *a: drift(*a), (pictures, after, jnp.ones(_PICTURES), motion), (_PICTURES + 5 + 11) * one,
+        41 * _PICTURES * height * width, (_PICTURES + 5 + 11) * one,
+    )  # fmt: skip
 
 
 def _copies(sizes: set[int]) -> dict[int, Callable[[], Any]]:

@@ -17,9 +17,8 @@ from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.demo import psnr
 from scsr_opt.motion.estimate import given
 from scsr_opt.operators.sampling import DataTerm, accumulate
-from scsr_opt.placing import measured, stream_around
+from scsr_opt.placing import first_picture, measured, stream_around
 from scsr_opt.priors import HuberTotalVariation
-from scsr_opt.reconstruction import first_picture
 from scsr_opt.solvers import FISTA
 from scsr_opt.strength import validated_strength
 

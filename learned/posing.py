@@ -24,10 +24,10 @@ from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.estimate import Estimator, estimate_motion
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
-from scsr_opt.placing import Stream, measured, stream_around
+from scsr_opt.placing import Stream, first_picture, measured, stream_around
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
-from scsr_opt.reconstruction import FRAMES, first_picture
+from scsr_opt.reconstruction import FRAMES
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.strength import validated_strength

@@ -23,8 +23,7 @@ from scsr_opt.motion.estimate import estimate_motion
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place
-from scsr_opt.placing import Stream
-from scsr_opt.reconstruction import first_picture
+from scsr_opt.placing import Stream, first_picture
 from scsr_opt.solvers.problem import lipschitz_bound
 from scsr_opt.strength import noise_of_mean
 

@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
 from scsr_opt.camera.measuring import Measuring
+from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
 from scsr_opt.inputs import bad_pixels_of, number, whole
+from scsr_opt.motion.estimate import filled
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.sampling import PlacedSamples, place
 
@@ -65,6 +67,20 @@ def stream_around(
     if bad is not None:
         stream.spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
     return key, stream
+
+
+def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
+    """X^(0): the rate over 21 frames around the key frame, enlarged."""
+    frames, bad = len(stream.spikes), stream.bad_pixels
+    if frames > 1:
+        edges = np.clip(np.array([stream.key - 10.0, stream.key + 10.0]), 0, frames - 1)
+        rate = interval_rates(stream.spikes, edges, white_rate=stream.white_rate)
+    else:
+        rate = stream.spikes / np.float32(stream.white_rate)
+    picture = jnp.asarray(rate, jnp.float32)
+    if bad is not None and bad.any():
+        picture = filled(picture, ~bad)
+    return jax.image.resize(picture[0], shape, "linear")
 
 
 class Measurements(NamedTuple):

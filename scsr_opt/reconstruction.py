@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, SupportsFloat, SupportsIndex
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,18 +12,17 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
 from scsr_opt.camera.measuring import Intervals, Measuring
-from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
-from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion, filled, given
+from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion, given
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
 from scsr_opt.operators.sampling import DataTerm
-from scsr_opt.placing import Measurements, Stream, measured, stream_around
+from scsr_opt.placing import Measurements, Stream, first_picture, measured, stream_around
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
@@ -245,20 +243,6 @@ class _Clock:
         now = time.perf_counter()
         self.laps[name] = now - self._last
         self._last = now
-
-
-def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
-    """X^(0): the rate over 21 frames around the key frame, enlarged."""
-    frames, bad = len(stream.spikes), stream.bad_pixels
-    if frames > 1:
-        edges = np.clip(np.array([stream.key - 10.0, stream.key + 10.0]), 0, frames - 1)
-        rate = interval_rates(stream.spikes, edges, white_rate=stream.white_rate)
-    else:
-        rate = stream.spikes / np.float32(stream.white_rate)
-    picture = jnp.asarray(rate, jnp.float32)
-    if bad is not None and bad.any():
-        picture = filled(picture, ~bad)
-    return jax.image.resize(picture[0], shape, "linear")
 
 
 # Sensor pixels that it takes, at least, to predict a tenth of them from the others.

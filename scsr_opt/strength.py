@@ -3,7 +3,7 @@
 Two things are known. The noise between neighbouring intervals of a pixel says how far the gradient of f is moved by
 chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor of 2 of 1.
 In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and smooth
-scenes want several times as much. So λ is validated (`validated_strength`): part of the intervals is held out, and the
+scenes want several times as much. So λ is validated (`validated_strength`): part of the samples is held out, and the
 picture made from the others has to predict them.
 """
 
@@ -23,7 +23,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, place, with_exposure
-from scsr_opt.placing import Measurements, Stream
+from scsr_opt.placing import Measurements, Stream, first_picture
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
@@ -37,13 +37,15 @@ _SMOOTHING = 0.06
 
 # Side of the part of the picture that λ is validated on, in high-resolution pixels.
 _SIDE = 256
-# One interval in so many is held out, in stretches of at least so many frames and two intervals: neighbouring intervals
-# share a spike, whose rounding makes the one too long and the other too short.
+# One sample in so many is held out. Where the scene moves by a sensor pixel, other pixels see what this one sees: all
+# samples of one pixel in five. Where it does not, one stretch of time in five, of so many frames and two intervals at
+# least. Each gap in a pixel's time adds an error at both its ends, which asks for more of a prior than all samples do.
+_MOVED = 1.0
 _SHARE, _STRETCH = 5, 8
-# Held-out intervals tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
-# that gives the best picture was 1.4 times the one that predicts best. Nor is much less than by noise alone believed,
-# where it always lost.
-_BEYOND, _AT_LEAST = 1.4, 0.7
+# Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
+# that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
+# by noise alone believed, where it always lost.
+_BEYOND, _AT_LEAST = (1.4, 2.0), (0.7, 0.6)
 _LOWEST, _HIGHEST = 0.5, 16.0
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
@@ -92,11 +94,13 @@ class Validated(NamedTuple):
 
 
 class _Validation(NamedTuple):
-    """Samples to make a picture from, and the weights of those to predict."""
+    """Samples to make a picture from, and the weights of those to predict; `by_pixel`: the share of pixels that are
+    held out as a whole or not at all."""
 
     placed: PlacedSamples
     held: Float[Array, " n"]
     plain: DataTerm
+    by_pixel: float
 
 
 def validated_strength(
@@ -136,16 +140,18 @@ def validated_strength(
     gain = None if gain is None else gain[rows, columns]
     positions = taken.placed.positions
     everything = part.spikes.shape == stream.spikes.shape
+    moved = motion.speed[rows, columns] * np.float32(len(stream.spikes))
     if everything and (taken.merged_for == 1).all():
-        validation = _split(taken.padded, taken.placed, optics)
+        validation = _split(taken.padded, taken.placed, moved, optics)
     else:
-        validation = _split(*_apart(part, motion.part(rows, columns), scale, positions, measuring, gain), optics)
+        apart = _apart(part, motion.part(rows, columns), scale, positions, measuring, gain)
+        validation = _split(*apart, moved, optics)
     if validation is None:
         return Validated(least, None)
     # A prior that is used by its gradient need not have a proximal step.
     kind = solver if isinstance(solver, Smooth) else FISTA()
     solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
-    image = first = jnp.full(validation.plain.shape, jnp.mean(validation.placed.value), jnp.float32)
+    image = first = first_picture(part, validation.plain.shape)
     term, state = validation.plain, None
     tried: dict[float, float] = {}
 
@@ -168,8 +174,12 @@ def validated_strength(
         best *= 2
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2
-    factor = _BEYOND * best * 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
-    return Validated(least * max(_AT_LEAST, factor), image if everything else None)
+    best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
+    beyond, at_least = (
+        by_time ** (1 - validation.by_pixel) * by_pixel**validation.by_pixel
+        for by_time, by_pixel in (_BEYOND, _AT_LEAST)
+    )
+    return Validated(least * max(at_least, beyond * best), image if everything else None)
 
 
 def _middle(length: int, part: int) -> slice:
@@ -201,22 +211,29 @@ def _apart(
     return samples, placed
 
 
-def _split(samples: Samples, placed: PlacedSamples, optics: LinearOperator | None) -> _Validation | None:
-    """The samples, every fifth stretch of them held out; None if there are too few to do so."""
-    held, weight = _held_out(samples), np.asarray(placed.weight)
+def _split(
+    samples: Samples, placed: PlacedSamples, moved: Float[np.ndarray, "h w"], optics: LinearOperator | None
+) -> _Validation | None:
+    """The samples, a fifth of them held out; None if there are too few to do so."""
+    held, weight = _held_out(samples, moved), np.asarray(placed.weight)
     if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
         return None
     rest = eqx.tree_at(lambda p: p.weight, placed, jnp.asarray(weight * ~held))
-    return _Validation(rest, jnp.asarray(weight * held), accumulate(rest, optics=optics))
+    by_pixel = float((moved >= _MOVED).mean())
+    return _Validation(rest, jnp.asarray(weight * held), accumulate(rest, optics=optics), by_pixel)
 
 
-def _held_out(samples: Samples) -> Bool[np.ndarray, " n"]:
+def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
+    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel."""
     duration = np.asarray(samples.stop - samples.start)
     typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
     stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
     # From pixel to pixel another stretch, so that no time is missing.
-    turn = samples.row.astype(np.int64) * 7 + samples.column.astype(np.int64) * 3
-    return np.asarray((stretch.astype(np.int64) + turn) % _SHARE == 0)
+    row, column = np.asarray(samples.row, np.int64), np.asarray(samples.column, np.int64)
+    by_time = (stretch.astype(np.int64) + row * 7 + column * 3) % _SHARE == 0
+    # A knight's move apart: no two neighbours.
+    by_pixel = (2 * row + column) % _SHARE == 0
+    return np.asarray(np.where(moved[row, column] >= _MOVED, by_pixel, by_time))
 
 
 @eqx.filter_jit

@@ -128,8 +128,23 @@ def test_a_fifth_of_every_pixels_time_is_held_out():
     from scsr_opt.camera.samples import spike_intervals
 
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
-    held = _held_out(samples)
+    held = _held_out(samples, np.zeros((48, 48), np.float32))
     assert samples.weight[held].sum() / samples.weight.sum() == pytest.approx(0.2, abs=0.03)
+
+
+def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
+    from scsr_opt.camera.samples import spike_intervals
+
+    samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
+    moved = np.zeros((48, 48), np.float32)
+    moved[:, 24:] = 1.5
+    held = _held_out(samples, moved)
+    shares = [
+        np.mean(held[(samples.row == row) & (samples.column == column)]) for row in range(5) for column in range(48)
+    ]
+    by_time, by_pixel = np.reshape(shares, (5, 48))[:, :24], np.reshape(shares, (5, 48))[:, 24:]
+    assert set(by_pixel.ravel()) == {0.0, 1.0} and by_pixel.mean() == pytest.approx(0.2, abs=0.01)
+    assert 0 < by_time.min() and by_time.max() < 0.6
 
 
 @pytest.mark.parametrize(("length", "part", "found"), [(10, 4, slice(3, 7)), (5, 8, slice(0, 5)), (7, 4, slice(1, 5))])

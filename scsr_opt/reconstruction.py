@@ -32,7 +32,7 @@ from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
-from scsr_opt.strength import noise_of_mean, relative_strength, strength_of_noise, validated_strength
+from scsr_opt.strength import Validated, noise_of_mean, relative_strength, strength_of_noise, validated_strength
 
 # Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
 # short enough for motion to be smooth.
@@ -161,8 +161,10 @@ def reconstruct(
     if lens is not optics:
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
-    if strength is None and robust is None:  # outliers that were held out would decide
-        λ, near = validated_strength(
+    validate = strength is None and robust is None  # outliers that were held out would decide
+
+    def validated(taken: Measurements) -> Validated:
+        return validated_strength(
             stream,
             motion,
             taken,
@@ -174,12 +176,15 @@ def reconstruct(
             optics=rounds.optics,
             noise=noise,
         )
+
+    if validate:
+        λ, near = validated(taken)
         rounds = replace(rounds, strength=jnp.asarray(λ, jnp.float32))
     clock.lap("strength")
     found = rounds(taken.placed, image, state, near=near)
     stages = found.outcome.stages
     measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
-    for _ in range(_TURNS if blind else 0):
+    for turn in range(_TURNS if blind else 0):
         if not found.outcome.result.good:
             break
         blind_gains = measured_as.gain(stream, motion, found.blurred)
@@ -188,6 +193,8 @@ def reconstruct(
             break
         gains = blind_gains
         taken = measured_as.with_gain(gains, known, noise)
+        if validate and turn == 0:  # a fixed pattern asked for more
+            rounds = replace(rounds, strength=jnp.asarray(validated(taken).strength, jnp.float32))
         found = rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     for _ in range(rounds_of_motion):

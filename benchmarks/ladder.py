@@ -67,6 +67,8 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", help="all whose weights are there, if not given")
     parser.add_argument("--rounds", type=int, default=1)
     asked = parser.parse_args()
+    if min(asked.rounds, *asked.sensor, *asked.scales) < 1:
+        parser.error("--rounds, --sensor and --scales take whole numbers of at least 1.")
     try:
         for scale in asked.scales:
             made = turning(scale, *asked.sensor)

@@ -86,8 +86,8 @@ def noise_of_mean(stream: Stream) -> float:
 
 
 class Validated(NamedTuple):
-    """A strength λ, and the last picture that was made to find it, (H, W), where that is of the whole sensor: a start
-    much nearer to the solution than playback."""
+    """A strength λ, and the last picture that was made to find it, (H, W), intensity: a start much nearer to the
+    solution than playback. None where that is of a part of the sensor only, or not finite."""
 
     strength: float
     image: Float[Array, "H W"] | None
@@ -179,7 +179,8 @@ def validated_strength(
         by_time ** (1 - validation.by_pixel) * by_pixel**validation.by_pixel
         for by_time, by_pixel in (_BEYOND, _AT_LEAST)
     )
-    return Validated(least * max(at_least, beyond * best), image if everything else None)
+    usable = everything and bool(jnp.isfinite(image).all())
+    return Validated(least * max(at_least, beyond * best), image if usable else None)
 
 
 def _middle(length: int, part: int) -> slice:

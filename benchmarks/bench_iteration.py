@@ -114,7 +114,7 @@ def placed_of(frames: int, height: int, width: int, scale: int) -> PlacedSamples
     motion = Motion.of_velocity(np.broadcast_to(np.array(VELOCITY)[:, None, None], (2, height, width)))
     path = trajectory_of(motion, key=frames // 2, start=0, stop=frames)
     on_device = jax.tree.map(jnp.asarray, samples.padded())
-    return place(on_device, path, scale=scale, positions=1, shape=(scale * height, scale * width))
+    return place(on_device, path, scale=scale, shape=(scale * height, scale * width))
 
 
 def plain_accumulation(placed: PlacedSamples) -> tuple[Float[np.ndarray, "5 H W"], Float[np.ndarray, "H W"]]:
@@ -128,13 +128,14 @@ def plain_accumulation(placed: PlacedSamples) -> tuple[Float[np.ndarray, "5 H W"
         (0, 0, 0, 0), (0, 1, 1, 1), (0, 2, 2, 2), (0, 3, 3, 3),
         (1, 0, 0, 1), (1, 2, 2, 3), (2, 1, 1, 2), (3, 0, 0, 2), (3, 1, 1, 3), (4, 0, 0, 3),
     )  # fmt: skip
-    for index, down, right in zip(*(np.asarray(v) for v in (placed.index, placed.down, placed.right)), strict=True):
+    (at,) = placed.taps
+    for index, down, right in zip(*(np.asarray(v) for v in (at.index, at.down, at.right)), strict=True):
         taps = ((1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right)
         for offset, tap in zip(around, taps, strict=True):
             target += np.bincount(index + offset, weight * tap * value, size)
         for plane, at, first, second in pairs:
             planes[plane] += np.bincount(index + around[at], weight * taps[first] * taps[second], size)
-    return (planes / placed.positions).reshape(5, height, width), (target / placed.positions).reshape(height, width)
+    return (planes / at.positions).reshape(5, height, width), (target / at.positions).reshape(height, width)
 
 
 def measure(size: Size, seed: int, progress: Progress) -> dict[str, Any]:

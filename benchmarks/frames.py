@@ -46,7 +46,7 @@ def data_term(spikes: np.ndarray, scale: int) -> tuple[DataTerm, float, int]:
     seconds = []
     for _ in range(3):
         begin = time.perf_counter()
-        placed = place(on_device, path, scale=scale, positions=1, shape=(scale * height, scale * width))
+        placed = place(on_device, path, scale=scale, shape=(scale * height, scale * width))
         term = jax.block_until_ready(accumulate(placed))
         seconds.append(time.perf_counter() - begin)
     return term, min(seconds), samples.count

@@ -91,7 +91,7 @@ def _placed(case: Case) -> PlacedSamples:
     length = 4096 * 4 ** max(0, math.ceil(math.log(max(n, 1) / 4096, 4)))
     padded = jax.tree.map(lambda v: jnp.asarray(np.pad(v, (0, length - n))), samples)
     path = trajectory_of(Motion.of_velocity(seen.velocity), key=seen.key, start=0, stop=case.frames)
-    return place(padded, path, scale=case.scale, positions=1, shape=picture_shape(case))
+    return place(padded, path, scale=case.scale, shape=picture_shape(case))
 
 
 def placed_of(case: Case) -> PlacedSamples:
@@ -131,7 +131,7 @@ def addends(case: Case) -> int:
     """The most numbers that were added up for one entry of M or c."""
     placed = placed_of(case)
     used = np.asarray(placed.weight) > 0
-    corner, width = np.asarray(placed.index)[0][used], placed.shape[1]
+    corner, width = np.asarray(placed.taps[0].index)[0][used], placed.shape[1]
     taps = np.concatenate([corner + offset for offset in (0, 1, width, width + 1)])
     return int(np.bincount(taps).max(initial=0)) if taps.size else 0
 

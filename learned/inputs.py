@@ -105,7 +105,7 @@ def make_inputs(
     members = members_of(away, boundaries)
     groups = [accumulate(placed, robust=member) for member in members]
     step_size, noise = 1 / lipschitz_bound(term), noise_of_mean(stream)
-    if placed.positions > 1:
+    if placed.finest > 1:
         prior = HuberTotalVariation()
         strength = jnp.asarray(strength_of_noise(noise, scale, prior), jnp.float32)
         touched = Problem(with_exposure(term, placed, image), prior, strength)

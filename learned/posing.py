@@ -127,7 +127,7 @@ class Posed:
         Elsewhere f is on or above the exact one (`with_exposure`). Where exposures are short, the two are the same
         everywhere.
         """
-        data = self.plain if self.placed.positions == 1 else with_exposure(self.plain, self.placed, image)
+        data = self.plain if self.placed.finest == 1 else with_exposure(self.plain, self.placed, image)
         return Problem(data, self.prior, self.strength)
 
 
@@ -150,7 +150,7 @@ def pose(
     motion = estimate_motion(stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
     measuring = Intervals()
     taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains)
-    placed = taken.placed
+    placed, first = taken.placed, first_picture(stream, moment.shape)
     if strength is not None:
         λ = prior_strength(strength)
     elif stream.spikes.any() and bool(jnp.any(placed.weight > 0)):
@@ -158,6 +158,7 @@ def pose(
             stream,
             motion,
             taken,
+            first,
             scale=scale,
             prior=prior,
             solver=FISTA(),
@@ -174,7 +175,7 @@ def pose(
         plain=accumulate(placed),
         strength=jnp.asarray(λ, jnp.float32),
         prior=prior,
-        first=first_picture(stream, moment.shape),
+        first=first,
         seconds=time.perf_counter() - begin,
     )
 

@@ -22,7 +22,7 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.estimate import estimate_motion
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, Taps, accumulate, place
 from scsr_opt.placing import Stream, first_picture
 from scsr_opt.solvers.problem import lipschitz_bound
 from scsr_opt.strength import noise_of_mean
@@ -83,7 +83,8 @@ class SpikeInputs(eqx.Module):
         """What the iteration is given if the blocks measure `values`."""
         shape = (self.image.shape[0], self.image.shape[1])
         measured = values.reshape(-1)
-        placed = PlacedSamples(self.index[None], self.down[None], self.right[None], measured, self.weight, scale, shape)
+        taps = Taps(self.index[None], self.down[None], self.right[None])
+        placed = PlacedSamples((taps,), measured, self.weight, scale, shape)
         weighted = self.weight * measured
         energy = jnp.sum(weighted * measured)
         term = DataTerm(Stencil(self.planes[0]), placed.spread(weighted), energy, Aperture(shape, scale), None)
@@ -135,16 +136,17 @@ def make_spike_inputs(
     samples = Samples(jnp.asarray(row), jnp.asarray(column), time, time, jnp.zeros_like(time), jnp.asarray(weight))
     path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
     shape = (scale * height, scale * width)
-    placed = place(samples, path, scale=scale, positions=1, shape=shape)
+    placed = place(samples, path, scale=scale, shape=shape)
+    (taps,) = placed.taps
     term = accumulate(placed)
     members = members_of(jnp.abs(time - stream.key), config.boundaries)
     planes = [term.stencil.planes, *(accumulate(placed, robust=member).stencil.planes for member in members)]
     return SpikeInputs(
         blocks,
         jnp.asarray(stream.white_rate, jnp.float32),
-        placed.index[0],
-        placed.down[0],
-        placed.right[0],
+        taps.index[0],
+        taps.down[0],
+        taps.right[0],
         placed.weight,
         jnp.stack(members) if members else jnp.zeros((0, time.size)),
         jnp.stack(planes),

@@ -17,14 +17,20 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.inputs import bad_pixels_of, number, whole
 from scsr_opt.motion.estimate import filled
 from scsr_opt.motion.trajectory import Motion, trajectory_of
-from scsr_opt.operators.sampling import PlacedSamples, place
+from scsr_opt.operators.sampling import PlacedSamples, Positions, place
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
 _MERGED_MOTION = 0.25
+# It is worth it where so large a share of the pixels is still for so many frames: samples that are not merged serve to
+# validate the strength, too.
+_MERGED_SHARE, _MERGED_LONG = 0.25, 16
 # How far the weight of what a pixel sees may change while intervals are merged.
 _MERGED_CHANGE = 0.25
-# Length of an exposure, in high-resolution pixels, from which on it is sampled at several positions.
-_EXPOSURE_MOTION = 0.75
+# Positions along an exposure, and how far apart they may be, in sensor pixels: what is read is the picture through an
+# aperture of one.
+_POSITIONS, _SPACING = (5, 3, 1), 0.375
+# Eighths of all samples that may have more positions than others.
+_EIGHTHS = (0, 1, 4, 8)
 
 
 class Stream(NamedTuple):
@@ -141,30 +147,49 @@ def measured(
     """
     frames, height, width = stream.spikes.shape
     path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
+    # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
+    fastest = path.fastest
     still_for = np.ones((height, width), np.int32)
     if merge:
         with np.errstate(divide="ignore", over="ignore"):
-            # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
-            still = _MERGED_MOTION / (scale * path.fastest)
+            still = _MERGED_MOTION / (scale * fastest)
             # A merged interval has one weight.
             steady = _MERGED_CHANGE / path.unsteady
-        still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
+        possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
+        still_for = possible if np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE else still_for
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
+    samples, needed = _longest_first(samples, fastest)
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
         jax.tree.map(jnp.asarray, padded),
         path,
         scale=scale,
-        positions=_positions(samples, motion, scale),
+        positions=_positions(needed, padded.row.size),
         shape=(scale * height, scale * width),
     )
     return Measurements(samples, padded, placed, still_for)
 
 
-def _positions(samples: Samples, motion: Motion, scale: int) -> int:
-    """How finely exposures are sampled: 1, 3 or 5 positions, by how far the surface moves during a long one."""
-    with np.errstate(over="ignore"):
-        moved = scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
-    long = float(np.quantile(np.minimum(moved, 1e6), 0.9)) if moved.size else 0.0  # no infinity to interpolate
-    return 1 if long < _EXPOSURE_MOTION else 3 if long < 3 * _EXPOSURE_MOTION else 5
+def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[Samples, list[int]]:
+    """The samples, those first that want most positions along their exposure, and how many want each of `_POSITIONS`;
+    `speed` in sensor pixels per frame."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = speed[samples.row, samples.column] * (samples.stop - samples.start)
+    fewer = [k * _SPACING <= moved for k in _POSITIONS[1:]]
+    level = np.sum(fewer, axis=0, dtype=np.int8)
+    members = [np.flatnonzero(level == which) for which in reversed(range(len(_POSITIONS)))]
+    order = np.concatenate(members)
+    return jax.tree.map(lambda values: values[order], samples), [each.size for each in members]
+
+
+def _positions(needed: list[int], total: int) -> Positions:
+    """How many of `total` samples have how many positions: one of few shares of all has 5, or 5 or 3, so that code
+    which was compiled for one recording serves for others. Some samples get more positions than they need."""
+    found, before = [], 0
+    for positions, wanted in zip(_POSITIONS, np.cumsum(needed), strict=True):
+        until = total if positions == 1 else next(part for e in _EIGHTHS if (part := total * e // 8) >= wanted)
+        if until > before:
+            found.append((until - before, positions))
+            before = until
+    return tuple(found)

@@ -168,6 +168,7 @@ def reconstruct(
             stream,
             motion,
             taken,
+            image,
             scale=scale,
             prior=rounds.prior,
             solver=rounds.solver,
@@ -212,7 +213,7 @@ def reconstruct(
     stats = {
         "iterations": len(stages),
         "samples": int(jnp.count_nonzero(taken.placed.weight)),
-        "positions": taken.placed.positions,
+        "positions": taken.placed.finest,
         "strength": float(rounds.strength),
         "objective": stages[-1].objective,
         "speed_max": float(motion.speed.max()),

@@ -67,7 +67,7 @@ class Rounds:
         **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
         """
         plain = term = accumulate(placed, optics=self.optics)
-        rounds = 1 + (CORRECTIONS if placed.positions > 1 or self.robust is not None else 0)
+        rounds = 1 + (CORRECTIONS if placed.finest > 1 or self.robust is not None else 0)
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
             near = self.solver.image(state)
@@ -111,7 +111,7 @@ class Rounds:
         if self.robust is not None:
             factors = robust_factors(self.robust, placed, plain, image)
             plain = accumulate(placed, robust=factors, optics=self.optics)
-        return plain if placed.positions == 1 else with_exposure(plain, placed, image, robust=factors)
+        return plain if placed.finest == 1 else with_exposure(plain, placed, image, robust=factors)
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
         own = eqx.filter_eval_shape(self.solver.init, problem, image)

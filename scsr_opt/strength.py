@@ -11,19 +11,17 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.camera.gain import with_gain
 from scsr_opt.camera.measuring import Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.errors import InputError
-from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.operator import LinearOperator
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, place, with_exposure
-from scsr_opt.placing import Measurements, Stream, first_picture
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
+from scsr_opt.placing import Measurements, Stream, measured
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
@@ -107,6 +105,7 @@ def validated_strength(
     stream: Stream,
     motion: Motion,
     taken: Measurements,
+    image: Float[Array, "H W"],
     *,
     scale: int,
     prior: Prior,
@@ -122,9 +121,9 @@ def validated_strength(
     picture serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor; a lens makes
     that part the whole picture, as its blur is made for one size.
 
-    **Arguments:** `taken`, the measurements of the recording along the motion; `prior`, `solver`, `measuring`, `gain`
-    and `optics` as for the reconstruction; `FISTA` stands in for solvers that use the prior's proximal step, as it
-    does. `noise`: what `noise_of_mean` finds, if that is known.
+    **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
+    `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
+    use the prior's proximal step, as it does. `noise`: what `noise_of_mean` finds, if that is known.
 
     **Raises:** as `relative_strength`.
     """
@@ -138,20 +137,20 @@ def validated_strength(
         None if stream.bad_pixels is None else stream.bad_pixels[rows, columns],
     )
     gain = None if gain is None else gain[rows, columns]
-    positions = taken.placed.positions
     everything = part.spikes.shape == stream.spikes.shape
     moved = motion.speed[rows, columns] * np.float32(len(stream.spikes))
     if everything and (taken.merged_for == 1).all():
         validation = _split(taken.padded, taken.placed, moved, optics)
     else:
-        apart = _apart(part, motion.part(rows, columns), scale, positions, measuring, gain)
-        validation = _split(*apart, moved, optics)
+        # None are merged, as what is held out has to be in pieces.
+        apart = measured(part, motion.part(rows, columns), scale=scale, measuring=measuring, gain=gain, merge=False)
+        validation = _split(apart.padded, apart.placed, moved, optics)
     if validation is None:
         return Validated(least, None)
     # A prior that is used by its gradient need not have a proximal step.
     kind = solver if isinstance(solver, Smooth) else FISTA()
     solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
-    image = first = first_picture(part, validation.plain.shape)
+    image = first = image[tuple(slice(scale * of.start, scale * of.stop) for of in (rows, columns))]
     term, state = validation.plain, None
     tried: dict[float, float] = {}
 
@@ -161,7 +160,7 @@ def validated_strength(
         state, image = outcome.state, jnp.asarray(outcome.image)
         return image
 
-    for _ in range(2 if positions > 1 else 0):  # the motion during exposures is taken from these
+    for _ in range(2 if validation.placed.finest > 1 else 0):  # the motion during exposures is taken from these
         term = with_exposure(validation.plain, validation.placed, solved(1.0))
 
     def missed(factor: float) -> float:
@@ -188,30 +187,6 @@ def _middle(length: int, part: int) -> slice:
     return slice(begin, min(begin + part, length))
 
 
-def _apart(
-    stream: Stream,
-    motion: Motion,
-    scale: int,
-    positions: int,
-    measuring: Measuring,
-    gain: Float[np.ndarray, "h w"] | None,
-) -> tuple[Samples, PlacedSamples]:
-    """Samples of which none are merged, as what is held out has to be in pieces; padded, and at their places."""
-    frames, height, width = stream.spikes.shape
-    each = np.ones((height, width), np.int32)
-    samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=each, bad_pixels=stream.bad_pixels)
-    samples = samples if gain is None else with_gain(samples, gain)
-    samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
-    placed = place(
-        jax.tree.map(jnp.asarray, samples),
-        trajectory_of(motion, key=stream.key, start=0, stop=frames),
-        scale=scale,
-        positions=positions,
-        shape=(scale * height, scale * width),
-    )
-    return samples, placed
-
-
 def _split(
     samples: Samples, placed: PlacedSamples, moved: Float[np.ndarray, "h w"], optics: LinearOperator | None
 ) -> _Validation | None:
@@ -226,15 +201,19 @@ def _split(
 
 def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
     """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel."""
-    duration = np.asarray(samples.stop - samples.start)
-    typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
-    stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
-    # From pixel to pixel another stretch, so that no time is missing.
-    row, column = np.asarray(samples.row, np.int64), np.asarray(samples.column, np.int64)
-    by_time = (stretch.astype(np.int64) + row * 7 + column * 3) % _SHARE == 0
+    rows, columns = np.indices(moved.shape)
+    pixel = np.asarray(samples.row) * moved.shape[1] + np.asarray(samples.column)
+    whole = (moved >= _MOVED).reshape(-1)
     # A knight's move apart: no two neighbours.
-    by_pixel = (2 * row + column) % _SHARE == 0
-    return np.asarray(np.where(moved[row, column] >= _MOVED, by_pixel, by_time))
+    held = whole[pixel] & ((2 * rows + columns) % _SHARE == 0).reshape(-1)[pixel]
+    if not whole.all():
+        duration = np.asarray(samples.stop - samples.start)
+        typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
+        stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
+        # From pixel to pixel another stretch, so that no time is missing.
+        by_time = (stretch.astype(np.int32) + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0
+        held = np.where(whole[pixel], held, by_time)
+    return np.asarray(held)
 
 
 @eqx.filter_jit

@@ -17,7 +17,7 @@ from benchmarks.peers.problems import Case
 from benchmarks.peers.rows import Method, report
 from scsr_opt import solvers
 from scsr_opt.errors import InputError
-from scsr_opt.operators import DataTerm, PlacedSamples, accumulate
+from scsr_opt.operators import DataTerm, PlacedSamples, Taps, accumulate
 from scsr_opt.priors import TotalVariation
 
 DEFAULT = "FISTA"
@@ -50,10 +50,13 @@ def placed(case: Case) -> PlacedSamples:
     row, column = case.row + 1, case.column + 1
     # Only the first of two taps has to leave room for the second.
     top, left = np.minimum(row.astype(int), height - 2), np.minimum(column.astype(int), width - 2)
-    return PlacedSamples(
+    taps = Taps(
         index=jnp.asarray(top * width + left, jnp.int32)[None],
         down=jnp.asarray(row - top, jnp.float32)[None],
         right=jnp.asarray(column - left, jnp.float32)[None],
+    )
+    return PlacedSamples(
+        (taps,),
         value=jnp.asarray(case.value, jnp.float32),
         weight=jnp.ones(case.value.shape, jnp.float32),
         scale=3,

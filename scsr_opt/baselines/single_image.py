@@ -86,7 +86,7 @@ def _super_resolved(picture: Float[np.ndarray, "h w"], part: Part) -> Float[np.n
     now = np.zeros(picture.size, np.float32)
     samples = Samples(row=row, column=column, start=now, stop=now, value=picture.ravel(), weight=used.ravel())
     path = trajectory_of(Motion.none(height, width), key=0, start=0, stop=1)
-    placed = place(jax.tree.map(jnp.asarray, samples.padded()), path, scale=part.scale, positions=1, shape=part.shape)
+    placed = place(jax.tree.map(jnp.asarray, samples.padded()), path, scale=part.scale, shape=part.shape)
     strength = _SMOOTHING * noise_level(picture) * 2 / part.scale
     return solved(placed, bicubic(picture, part.scale), strength)
 

@@ -31,7 +31,7 @@ def solved(placed: PlacedSamples, start: Float[np.ndarray, "H W"], strength: flo
     prior, λ = TotalVariation(iterations=10), jnp.asarray(strength, jnp.float32)
     uncorrected = term = accumulate(placed)
     outcome = run(solver, Problem(term, prior, λ), jnp.asarray(start))
-    for _ in range(_CORRECTIONS if placed.positions > 1 else 0):
+    for _ in range(_CORRECTIONS if placed.finest > 1 else 0):
         term = with_exposure(uncorrected, placed, jnp.asarray(outcome.image))
         outcome = run(solver, Problem(term, prior, λ), jnp.asarray(outcome.image), similar=outcome.state)
     return outcome.image

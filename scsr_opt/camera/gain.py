@@ -154,12 +154,14 @@ def blind_gain(
     early = (start + stop) / 2 < halfway[row, column]
     expected = np.maximum(np.asarray(predicted, np.float64), 0)
 
-    def ratio(part: Bool[np.ndarray, " n"] | bool) -> Float[np.ndarray, "h w"]:
-        raw = (sums(used * part * value) + spike) / np.maximum(sums(used * part * expected) + spike, 1e-9)
-        raw = np.clip(raw, *_RANGE)
+    def ratio(measured: Float[np.ndarray, "h w"], predicted: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        raw = np.clip((measured + spike) / np.maximum(predicted + spike, 1e-9), *_RANGE)
         return np.where(seen, raw - np.median(raw[seen]), 0)
 
-    first, second = ratio(early)[seen], ratio(~early)[seen]
+    light, half = (sums(used * value), sums(used * expected)), used * early
+    first_half = sums(half * value), sums(half * expected)
+    second_half = tuple(every - first for every, first in zip(light, first_half, strict=True))
+    first, second = ratio(*first_half)[seen], ratio(*second_half)[seen]
     spread = ((first + second) / 2).var()
     reliable = float(np.clip(np.mean(first * second) / spread, 0, 1)) if spread > 0 else 0.0
-    return np.clip(1 + reliable * ratio(True), *_RANGE).astype(np.float32)
+    return np.clip(1 + reliable * ratio(*light), *_RANGE).astype(np.float32)

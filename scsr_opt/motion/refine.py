@@ -108,7 +108,7 @@ def _of_few_numbers(
     weight = _robust(residual, placed.weight[some], fewer.weight)
     found = _least_squares(
         jnp.asarray((numbers * units)[numbers != 0]), jnp.asarray(numbers), jnp.asarray(units),
-        jnp.asarray(np.flatnonzero(numbers)), picture, fewer, weight, jnp.float32(key), placed.positions, placed.scale,
+        jnp.asarray(np.flatnonzero(numbers)), picture, fewer, weight, jnp.float32(key), placed.finest, placed.scale,
     )  # fmt: skip
     if not np.isfinite(found).all():
         return motion
@@ -187,25 +187,28 @@ def _votes(
     height, width = shape
     flat, wide = picture.reshape(-1), picture.shape[1]
     start, stop = jnp.asarray(samples.start), jnp.asarray(samples.stop)
-    slope = jnp.zeros((2, start.size), picture.dtype)
-    for k in range(placed.positions):
-        τ = start + (stop - start) * ((k + 0.5) / placed.positions) - key
-        a, b, c, d = (flat[placed.index[k] + offset] for offset in (0, 1, wide, wide + 1))
-        down, right = placed.down[k], placed.right[k]
-        across = jnp.stack([(c - a) + right * (d - b - c + a), (b - a) + down * (d - b - c + a)])
-        # What a pixel sees lies at p − vτ: a higher velocity takes it back.
-        slope = slope - placed.scale / placed.positions * τ[None] * across
+    slopes, middle = [], []
+    for taps, begin, end in zip(placed.taps, placed.split(start), placed.split(stop), strict=True):
+        total = jnp.zeros((2, begin.size), picture.dtype)
+        for k in range(taps.positions):
+            τ = begin + (end - begin) * ((k + 0.5) / taps.positions) - key
+            a, b, c, d = (flat[taps.index[k] + offset] for offset in (0, 1, wide, wide + 1))
+            down, right = taps.down[k], taps.right[k]
+            across = jnp.stack([(c - a) + right * (d - b - c + a), (b - a) + down * (d - b - c + a)])
+            # What a pixel sees lies at p − vτ: a higher velocity takes it back.
+            total = total - placed.scale / taps.positions * τ[None] * across
+        slopes.append(total)
+        middle.append(jax.tree.map(lambda along, half=taps.positions // 2: along[half], taps))
+    slope = jnp.concatenate(slopes, axis=1)
     residual = placed.read(picture) - placed.value
     weight = _robust(residual, placed.weight, jnp.asarray(samples.weight))
     noise = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight > 0, dtype=weight.dtype), 1)
     weight = weight / (noise + 1e-20)
-    half = placed.positions // 2
-    row, column = jnp.divmod(placed.index[half], wide)
-    row = jnp.clip(
-        jnp.round((row.astype(start.dtype) + placed.down[half]) / placed.scale).astype(jnp.int32), 0, height - 1
-    )
+    shown = jax.tree.map(lambda *parts: jnp.concatenate(parts), *middle)
+    row, column = jnp.divmod(shown.index, wide)
+    row = jnp.clip(jnp.round((row.astype(start.dtype) + shown.down) / placed.scale).astype(jnp.int32), 0, height - 1)
     column = jnp.clip(
-        jnp.round((column.astype(start.dtype) + placed.right[half]) / placed.scale).astype(jnp.int32), 0, width - 1
+        jnp.round((column.astype(start.dtype) + shown.right) / placed.scale).astype(jnp.int32), 0, width - 1
     )
     weighted = weight[None] * slope
     sums = jnp.concatenate([-residual[None] * weighted, weighted[:1] * slope, weighted[1:] * slope])

@@ -223,6 +223,11 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
 def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
     """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there."""
     layers = motion.layers
+    if layers is None and all(
+        np.ptp(field, axis=(1, 2)).max() == 0 for field in (motion.velocity, motion.acceleration)
+    ):
+        position = _translated(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
+        return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
     if layers is None:
         position = inverse(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
         return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
@@ -230,6 +235,16 @@ def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 
     nearest_first = (layers.velocity[order], layers.acceleration[order])
     membership = (layers.label == order[:, None, None]).astype(np.float32)
     return _front(*(jnp.asarray(v) for v in (*nearest_first, membership)), after)
+
+
+@jax.jit
+def _translated(
+    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
+) -> Float[Array, "n 2 h w"]:
+    """`inverse` where all move alike."""
+    here = jnp.indices(velocity.shape[1:], velocity.dtype)[None]
+    after = after[:, None, None, None]
+    return here - (velocity[None] * after + acceleration[None] * (0.5 * after**2))
 
 
 def _believed(

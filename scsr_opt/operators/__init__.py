@@ -12,7 +12,7 @@ from scsr_opt.operators.observation import Observation
 from scsr_opt.operators.operator import Composition, LinearOperator
 from scsr_opt.operators.optics import GaussianOptics, estimate_gaussian_optics
 from scsr_opt.operators.robust import Huber, Loss, Welsch, robust_factors
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place, with_exposure
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, Taps, accumulate, place, with_exposure
 from scsr_opt.operators.warp import Warp
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "PlacedSamples",
     "SpectralNorm",
     "Stencil",
+    "Taps",
     "Warp",
     "Welsch",
     "accumulate",

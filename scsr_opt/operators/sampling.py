@@ -16,6 +16,8 @@ one: each solve minimises a quadratic that lies on or above the true objective a
 so that alternating the two lowers the true objective every time and ends at its minimiser.
 """
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,9 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import Trajectory
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.operator import LinearOperator
+
+Positions = tuple[tuple[int, int], ...]
+"""(m, K), …: the first m samples have K positions along their exposure, the next m another number, …."""
 
 # The neighbours that a pixel is coupled with, besides itself; the opposite four follow by symmetry.
 _NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
@@ -97,70 +102,106 @@ class DataTerm(eqx.Module):
         return self.blurred_adjoint(self.stencil(self.blurred(image)))
 
 
+class Taps(eqx.Module):
+    """Where some samples read U: K positions of each, spread evenly along its exposure.
+
+    **Fields:**
+    - `index` (K, m): of the upper left of four taps in the flattened picture.
+    - `down`, `right` (K, m): how far the position lies beyond that tap, in pixels.
+
+    A scan over them hands out one position after another: the same, with arrays (m,).
+    """
+
+    index: Int[Array, "*K m"]
+    down: Float[Array, "*K m"]
+    right: Float[Array, "*K m"]
+
+    @property
+    def positions(self) -> int:
+        """K."""
+        return self.index.shape[0]
+
+
+def _weights(at: Taps) -> tuple[Array, Array, Array, Array]:
+    down, right = at.down, at.right
+    return (1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right
+
+
 class PlacedSamples(eqx.Module):
     """Samples with the positions on the grid of U that each was taken at, ready to be read and accumulated.
 
     **Fields:**
-    - `index` (K, n): of the upper left tap in the flattened picture, for each of K positions along the exposure.
-    - `down`, `right` (K, n): how far the position lies beyond that tap, in pixels.
+    - `taps`: where the first samples read U, the next ones, …: those with long exposures at more positions.
     - `value`, `weight` (n,): Y_j and ω_j; the weight is 0 where a sample leaves the picture or sees what the key frame
       does not show.
     - `scale` s, `shape` (H, W).
     """
 
-    index: Int[Array, "K n"]
-    down: Float[Array, "K n"]
-    right: Float[Array, "K n"]
+    taps: tuple[Taps, ...]
     value: Float[Array, " n"]
     weight: Float[Array, " n"]
     scale: int = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
 
     @property
-    def positions(self) -> int:
-        """K, the number of positions along each exposure."""
-        return self.index.shape[0]
+    def positions(self) -> Positions:
+        """How many samples have how many positions, in order: (m, K), …."""
+        return tuple((taps.index.shape[1], taps.positions) for taps in self.taps)
+
+    @property
+    def finest(self) -> int:
+        """The largest number of positions along an exposure."""
+        return max(k for _, k in self.positions)
+
+    def split(self, values: Float[Array, " n"]) -> list[Float[Array, " _"]]:
+        """One number for each sample, by `taps`."""
+        return jnp.split(values, list(itertools.accumulate(m for m, _ in self.positions))[:-1])
 
     @eqx.filter_jit
     def read(self, u: Float[Array, "H W"]) -> Float[Array, " n"]:
         """r_j · u for every sample."""
         flat, width = u.reshape(-1), self.shape[1]
 
-        def add(total: Float[Array, " n"], taps: tuple[Array, Array, Array]):
-            index, down, right = taps
-            corners = [flat[index + offset] for offset in (0, 1, width, width + 1)]
-            upper = corners[0] + right * (corners[1] - corners[0])
-            lower = corners[2] + right * (corners[3] - corners[2])
-            return total + upper + down * (lower - upper), None
+        def add(total: Float[Array, " m"], at: Taps):
+            corners = [flat[at.index + offset] for offset in (0, 1, width, width + 1)]
+            upper = corners[0] + at.right * (corners[1] - corners[0])
+            lower = corners[2] + at.right * (corners[3] - corners[2])
+            return total + upper + at.down * (lower - upper), None
 
-        total, _ = jax.lax.scan(add, jnp.zeros_like(self.value), (self.index, self.down, self.right))
-        return total / self.positions
+        read = []
+        for taps, nothing in zip(self.taps, self.split(jnp.zeros_like(self.value)), strict=True):
+            total, _ = jax.lax.scan(add, nothing, taps)
+            read.append(total / taps.positions)
+        return jnp.concatenate(read)
 
     @eqx.filter_jit
     def spread(self, values: Float[Array, " n"]) -> Float[Array, "H W"]:
         """Σ_j values_j r_j, the adjoint of `read`."""
         width = self.shape[1]
+        total = jnp.zeros(self.shape[0] * width, values.dtype)
+        for taps, own in zip(self.taps, self.split(values), strict=True):
 
-        def add(total: Float[Array, " m"], taps: tuple[Array, Array, Array]):
-            index, down, right = taps
-            for offset, tap in zip((0, 1, width, width + 1), _bilinear_weights(down, right), strict=True):
-                total = total.at[index + offset].add(values * tap)
-            return total, None
+            def add(total: Float[Array, " m"], at: Taps, share: Array = own / taps.positions):
+                for offset, tap in zip((0, 1, width, width + 1), _weights(at), strict=True):
+                    total = total.at[at.index + offset].add(share * tap)
+                return total, None
 
-        start = jnp.zeros(self.shape[0] * width, values.dtype)
-        total, _ = jax.lax.scan(add, start, (self.index, self.down, self.right))
-        return (total / self.positions).reshape(self.shape)
+            total, _ = jax.lax.scan(add, total, taps)
+        return total.reshape(self.shape)
 
 
 @eqx.filter_jit
-def place(samples: Samples, path: Trajectory, *, scale: int, positions: int, shape: tuple[int, int]) -> PlacedSamples:
+def place(
+    samples: Samples, path: Trajectory, *, scale: int, shape: tuple[int, int], positions: int | Positions = 1
+) -> PlacedSamples:
     """Where each sample was taken, on the grid of U.
 
     **Arguments:**
     - `samples`: as device arrays, padded.
     - `path`: where in the key frame lies what a pixel sees.
     - `scale` s, `shape` (H, W) of the high-resolution picture.
-    - `positions`: K, spread evenly over each exposure; 1 takes its middle.
+    - `positions`: K, spread evenly over each exposure; 1 takes its middle. Or (m, K) for the first m samples, the
+      next, …, all of them.
 
     A sample that leaves the picture at any time of its exposure is dropped. Of a scene that passes through a small
     picture within a few exposures the short ones of bright moments remain, and it comes out too bright (by half at one
@@ -168,32 +209,33 @@ def place(samples: Samples, path: Trajectory, *, scale: int, positions: int, sha
     inside mends that and costs 1 dB where a lens blurs across the border.
     """
     height, width = shape
-    start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))
-    pixel_row, pixel_column = jnp.asarray(samples.row), jnp.asarray(samples.column)
+    fields = [jnp.asarray(v) for v in (samples.row, samples.column, samples.start, samples.stop, samples.weight)]
+    taps, weights, begin = [], [], 0
+    for number, count in ((fields[0].size, positions),) if isinstance(positions, int) else positions:
+        some = tuple(field[begin : begin + number] for field in fields)
+        begin += number
 
-    def at(weight: Float[Array, " n"], along: Float[Array, ""]):
-        time = start + (stop - start) * along
-        row, column, seen = path.at(pixel_row, pixel_column, time)
-        row, column = row * scale, column * scale
-        # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
-        inside = (row >= -1e-3) & (column >= -1e-3)
-        inside &= (row <= height - scale + 1e-3) & (column <= width - scale + 1e-3)
-        # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
-        row = jnp.clip(jnp.where(inside, row, 0), 0, height - scale)
-        column = jnp.clip(jnp.where(inside, column, 0), 0, width - scale)
-        top, left = row.astype(jnp.int32), column.astype(jnp.int32)
-        index = top * width + left
-        # A sample counts as far as it can be used at each of its positions.
-        weight = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
-        return weight, (index, row - top.astype(row.dtype), column - left.astype(row.dtype))
+        def at(weight: Float[Array, " m"], along: Float[Array, ""], some: tuple[Array, ...] = some):
+            pixel_row, pixel_column, start, stop, full = some
+            row, column, seen = path.at(pixel_row, pixel_column, start + (stop - start) * along)
+            row, column = row * scale, column * scale
+            # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
+            inside = (row >= -1e-3) & (column >= -1e-3)
+            inside &= (row <= height - scale + 1e-3) & (column <= width - scale + 1e-3)
+            # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
+            row = jnp.clip(jnp.where(inside, row, 0), 0, height - scale)
+            column = jnp.clip(jnp.where(inside, column, 0), 0, width - scale)
+            top, left = row.astype(jnp.int32), column.astype(jnp.int32)
+            index = top * width + left
+            # A sample counts as far as it can be used at each of its positions.
+            weight = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
+            return weight, Taps(index, row - top.astype(row.dtype), column - left.astype(column.dtype))
 
-    along = (jnp.arange(positions, dtype=start.dtype) + 0.5) / positions
-    weight, (index, down, right) = jax.lax.scan(at, full, along)
-    return PlacedSamples(index, down, right, value, weight, scale, shape)
-
-
-def _bilinear_weights(down: Array, right: Array) -> tuple[Array, Array, Array, Array]:
-    return (1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right
+        along = (jnp.arange(count, dtype=some[2].dtype) + 0.5) / count
+        weight, of_these = jax.lax.scan(at, some[-1], along)
+        taps.append(of_these)
+        weights.append(weight)
+    return PlacedSamples(tuple(taps), jnp.asarray(samples.value), jnp.concatenate(weights), scale, shape)
 
 
 @eqx.filter_jit
@@ -209,34 +251,35 @@ def accumulate(
     """
     height, width = placed.shape
     weight = placed.weight if robust is None else placed.weight * robust
-    value = placed.value
     # Upper left tap 0, its right, lower and lower right neighbours 1, 2, 3: (plane, at tap, tap, tap).
     products = (
         (0, 0, 0, 0), (0, 1, 1, 1), (0, 2, 2, 2), (0, 3, 3, 3),
         (1, 0, 0, 1), (1, 2, 2, 3), (2, 1, 1, 2), (3, 0, 0, 2), (3, 1, 1, 3), (4, 0, 0, 3),
     )  # fmt: skip
-
-    def add(carry: tuple[tuple[Array, ...], Array], position: tuple[Array, Array, Array]):
-        planes, target = list(carry[0]), carry[1]
-        index, down, right = position
-        taps = _bilinear_weights(down, right)
-        weighted = tuple(weight * tap for tap in taps)
-        offsets = (0, 1, width, width + 1)
-        for offset, tap in zip(offsets, weighted, strict=True):
-            target = target.at[index + offset].add(tap * value)
-        for plane, at, first, second in products:
-            planes[plane] = planes[plane].at[index + offsets[at]].add(weighted[first] * taps[second])
-        return (tuple(planes), target), None
-
-    size = height * width
+    offsets = (0, 1, width, width + 1)
     # An array to each plane: in one array of five, the same sums took a third longer.
-    nothing = jnp.zeros(size, value.dtype)
-    begin = ((nothing,) * 5, nothing)
-    (planes, target), _ = jax.lax.scan(add, begin, (placed.index, placed.down, placed.right))
+    nothing = jnp.zeros(height * width, weight.dtype)
+    sums = ((nothing,) * 5, nothing)
+    by_taps = zip(placed.taps, placed.split(weight), placed.split(placed.value), strict=True)
+    for taps, own, value in by_taps:
+        own = own / taps.positions
+
+        def add(carry: tuple[tuple[Array, ...], Array], at: Taps, own: Array = own, value: Array = value):
+            planes, target = list(carry[0]), carry[1]
+            each = _weights(at)
+            weighted = tuple(own * tap for tap in each)
+            for offset, tap in zip(offsets, weighted, strict=True):
+                target = target.at[at.index + offset].add(tap * value)
+            for plane, corner, first, second in products:
+                planes[plane] = planes[plane].at[at.index + offsets[corner]].add(weighted[first] * each[second])
+            return (tuple(planes), target), None
+
+        sums, _ = jax.lax.scan(add, sums, taps)
+    planes, target = sums
     return DataTerm(
-        stencil=Stencil((jnp.stack(planes) / placed.positions).reshape(5, height, width)),
-        target=(target / placed.positions).reshape(height, width),
-        energy=jnp.sum(weight * value**2),
+        stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
+        target=target.reshape(height, width),
+        energy=jnp.sum(weight * placed.value**2),
         aperture=Aperture(placed.shape, placed.scale),
         optics=optics,
     )

@@ -122,7 +122,7 @@ def test_motion_during_exposures_is_in_the_measure(monkeypatch):
     motion = Motion.of_velocity(np.broadcast_to(np.array([0.4, -0.6], np.float32)[:, None, None], (2, 20, 24)))
     monkeypatch.setattr(posing, "estimate_motion", lambda *_, **__: motion)
     posed = pose(moment(dim, scale=2), strength=0.002)
-    assert posed.placed.positions > 1
+    assert posed.placed.finest > 1
     for image in (posed.first, jnp.asarray(rng.random((40, 48)), jnp.float32)):
         missed = np.asarray(posed.placed.read(posed.plain.blurred(image)) - posed.placed.value, np.float64)
         exact = 0.5 * float(np.sum(missed**2 * np.asarray(posed.placed.weight, np.float64)))

@@ -139,7 +139,7 @@ def test_exposures_are_corrected_for():
     """Where the picture moves by pixels during them, the gradient at the truth is mostly due to the plain c."""
     case = recorded((0.5, -0.3), TINY.boundaries, white_rate=0.2)
     placed = samples_of(case).placed
-    assert placed.positions > 1
+    assert placed.finest > 1
     term, weight = case.inputs.term, placed.weight
     blurred = term.blurred(case.truth)
     exact = placed.spread(weight * (placed.read(blurred) - placed.value))

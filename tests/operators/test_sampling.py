@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -66,7 +67,7 @@ def wandering(spread: float = 0.7, seed: int = 1) -> Trajectory:
 
 
 def placed_samples(
-    samples: Samples | None = None, path: Trajectory | None = None, scale: int = 2, positions: int = 1
+    samples: Samples | None = None, path: Trajectory | None = None, scale: int = 2, positions: Any = 1
 ) -> PlacedSamples:
     samples, path = some_samples() if samples is None else samples, wandering() if path is None else path
     shape = (SENSOR[0] * scale, SENSOR[1] * scale)
@@ -269,7 +270,7 @@ def explicit_and_sampled(
         value=np.zeros(at.size),
         weight=np.ones(at.size),
     )
-    placed = place(jax.tree.map(jnp.asarray, samples), path, scale=scale, positions=1, shape=shape)
+    placed = place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape)
     # A high-resolution pixel's place on the sensor's grid; p = q + v(q) τ solved for q by iteration, at full accuracy.
     here = (np.indices(shape) - (scale - 1) / 2) / scale
     displacement = []
@@ -423,6 +424,30 @@ def test_correcting_again_and_again_lowers_the_exact_objective_to_its_minimum():
     assert 0 <= last < 2e-2 * values[0]
 
 
+def test_samples_with_several_numbers_of_positions_are_those_of_each_number_together():
+    samples, path = some_samples(exposure=5), wandering(0.4)
+    together = placed_samples(samples, path, positions=((20, 5), (15, 3), (25, 1)))
+    assert together.positions == ((20, 5), (15, 3), (25, 1)) and together.finest == 5
+    parts = [(slice(0, 20), 5), (slice(20, 35), 3), (slice(35, 60), 1)]
+    apart = [placed_samples(jax.tree.map(lambda v, s=s: v[s], samples), path, positions=k) for s, k in parts]
+    u, values = jnp.asarray(random(together.shape)), jnp.asarray(random((60,), 1))
+    np.testing.assert_allclose(together.weight, jnp.concatenate([p.weight for p in apart]))
+    np.testing.assert_allclose(together.read(u), jnp.concatenate([p.read(u) for p in apart]), rtol=1e-12)
+    spread = sum(p.spread(values[s]) for p, (s, _) in zip(apart, parts, strict=True))
+    np.testing.assert_allclose(together.spread(values), spread, atol=1e-12)
+    terms = [accumulate(p) for p in apart]
+    for found, each in (
+        (accumulate(together), terms),
+        (
+            with_exposure(accumulate(together), together, u),
+            [with_exposure(t, p, u) for t, p in zip(terms, apart, strict=True)],
+        ),
+    ):
+        for field in ("target", "energy"):
+            np.testing.assert_allclose(getattr(found, field), sum(getattr(t, field) for t in each), atol=1e-12)
+        np.testing.assert_allclose(found.stencil.planes, sum(t.stencil.planes for t in each), atol=1e-12)
+
+
 # ---- step size, and sensors that are hardly pictures ----
 
 
@@ -447,7 +472,7 @@ def test_narrow_sensors(sensor, scale):
     samples = jax.tree.map(jnp.asarray, Samples(row, column, time, time, value, np.ones(row.size)))
     shape = (sensor[0] * scale, sensor[1] * scale)
     path = in_double_precision(trajectory_of(Motion.none(*sensor), key=0, start=0, stop=1))
-    placed = place(samples, path, scale=scale, positions=1, shape=shape)
+    placed = place(samples, path, scale=scale, shape=shape)
     term = accumulate(placed)
     expected = np.kron(value.reshape(sensor), np.full((scale, scale), -1 / scale**2))
     np.testing.assert_allclose(value_and_gradient(term, jnp.zeros(shape))[1], expected, atol=1e-14)

@@ -74,7 +74,7 @@ def case() -> Case:
     samples = Samples(row.astype(np.int32), column.astype(np.int32), time, time, value, weight)
     velocity = np.broadcast_to(np.array(VELOCITY, np.float32)[:, None, None], (2, *SENSOR))
     path = trajectory_of(Motion.of_velocity(velocity), key=KEY, start=0, stop=2 * KEY)
-    term = accumulate(place(jax.tree.map(jnp.asarray, samples), path, scale=SCALE, positions=1, shape=SHAPE))
+    term = accumulate(place(jax.tree.map(jnp.asarray, samples), path, scale=SCALE, shape=SHAPE))
     # What is proven of a method holds for exact proximal steps: ten dual steps, not the five that serve in practice.
     problem = Problem(term, TotalVariation(iterations=10), jnp.float32(STRENGTH))
     return Case(matrix, weight.astype(float), value.astype(float), problem, jnp.full(SHAPE, 0.5))

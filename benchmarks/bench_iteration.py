@@ -128,14 +128,13 @@ def plain_accumulation(placed: PlacedSamples) -> tuple[Float[np.ndarray, "5 H W"
         (0, 0, 0, 0), (0, 1, 1, 1), (0, 2, 2, 2), (0, 3, 3, 3),
         (1, 0, 0, 1), (1, 2, 2, 3), (2, 1, 1, 2), (3, 0, 0, 2), (3, 1, 1, 3), (4, 0, 0, 3),
     )  # fmt: skip
-    (at,) = placed.taps
-    for index, down, right in zip(*(np.asarray(v) for v in (at.index, at.down, at.right)), strict=True):
+    for index, down, right in zip(*map(np.asarray, jax.tree.leaves(placed.taps)), strict=True):
         taps = ((1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right)
         for offset, tap in zip(around, taps, strict=True):
             target += np.bincount(index + offset, weight * tap * value, size)
         for plane, at, first, second in pairs:
             planes[plane] += np.bincount(index + around[at], weight * taps[first] * taps[second], size)
-    return (planes / at.positions).reshape(5, height, width), (target / at.positions).reshape(height, width)
+    return (planes / placed.finest).reshape(5, height, width), (target / placed.finest).reshape(height, width)
 
 
 def measure(size: Size, seed: int, progress: Progress) -> dict[str, Any]:

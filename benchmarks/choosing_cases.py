@@ -66,7 +66,7 @@ def case_of(name: str, *, scale: int, sensor: int, light: str) -> Case:
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(FRAMES))
     path = trajectory_of(given(VELOCITY, sensor, sensor), key=key, start=0, stop=FRAMES)
     padded = jax.tree.map(jnp.asarray, samples.padded())
-    placed = place(padded, path, scale=scale, positions=POSITIONS, shape=(size, size))
+    placed = place(padded, path, scale=scale, finest=POSITIONS, shape=(size, size))
     # Corrected for the exposures once, at a picture that all share: from then on it is one data term.
     found = reconstruct(made.spikes, scale=scale, key=key, white_rate=rate, velocity=VELOCITY)
     term = with_exposure(accumulate(placed), placed, jnp.asarray(found.image))

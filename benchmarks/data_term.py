@@ -55,7 +55,7 @@ def best(made: Simulation, samples: Samples) -> tuple[float, float]:
     path = trajectory_of(Motion.of_velocity(velocity), key=FRAMES // 2, start=0, stop=FRAMES)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(FRAMES))
     on_device = jax.tree.map(jnp.asarray, samples.padded())
-    placed = place(on_device, path, scale=made.scale, positions=5, shape=shape)
+    placed = place(on_device, path, scale=made.scale, finest=5, shape=shape)
     uncorrected = accumulate(placed)
     image = jnp.full(shape, jnp.sum(placed.weight * placed.value) / jnp.sum(placed.weight))
     scores = []

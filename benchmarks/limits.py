@@ -91,11 +91,11 @@ def split(quality: Any, recording: Any, scale: int) -> list[float]:
     )
     motion = true_motion(recording.scene, scale, key)
     taken = measured(stream, motion, scale=scale, measuring=Intervals())
-    samples, positions = jax.tree.map(jnp.asarray, taken.padded), taken.placed.positions
+    samples, positions, finest = jax.tree.map(jnp.asarray, taken.padded), taken.placed.positions, taken.placed.finest
 
     def at_truth(*, occlusion: bool) -> PlacedSamples:
         path = true_path(recording.scene, scale, frames, occlusion=occlusion)
-        return place(samples, path, scale=scale, positions=positions, shape=shape)
+        return place(samples, path, scale=scale, shape=shape, positions=positions, finest=finest)
 
     hidden = at_truth(occlusion=True)
     clean = eqx.tree_at(lambda p: p.value, hidden, jnp.asarray(exact(recording, taken.padded, scale)))

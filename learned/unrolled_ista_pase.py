@@ -84,7 +84,7 @@ class SpikeInputs(eqx.Module):
         shape = (self.image.shape[0], self.image.shape[1])
         measured = values.reshape(-1)
         taps = Taps(self.index[None], self.down[None], self.right[None])
-        placed = PlacedSamples((taps,), measured, self.weight, scale, shape)
+        placed = PlacedSamples(taps, jnp.ones_like(self.index), measured, self.weight, scale, shape)
         weighted = self.weight * measured
         energy = jnp.sum(weighted * measured)
         term = DataTerm(Stencil(self.planes[0]), placed.spread(weighted), energy, Aperture(shape, scale), None)
@@ -137,16 +137,15 @@ def make_spike_inputs(
     path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
     shape = (scale * height, scale * width)
     placed = place(samples, path, scale=scale, shape=shape)
-    (taps,) = placed.taps
     term = accumulate(placed)
     members = members_of(jnp.abs(time - stream.key), config.boundaries)
     planes = [term.stencil.planes, *(accumulate(placed, robust=member).stencil.planes for member in members)]
     return SpikeInputs(
         blocks,
         jnp.asarray(stream.white_rate, jnp.float32),
-        taps.index[0],
-        taps.down[0],
-        taps.right[0],
+        placed.taps.index[0],
+        placed.taps.down[0],
+        placed.taps.right[0],
         placed.weight,
         jnp.stack(members) if members else jnp.zeros((0, time.size)),
         jnp.stack(planes),

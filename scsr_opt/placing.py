@@ -17,7 +17,7 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.inputs import bad_pixels_of, number, whole
 from scsr_opt.motion.estimate import filled
 from scsr_opt.motion.trajectory import Motion, trajectory_of
-from scsr_opt.operators.sampling import PlacedSamples, Positions, place
+from scsr_opt.operators.sampling import PlacedSamples, place
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
 _MERGED_MOTION = 0.25
@@ -29,8 +29,6 @@ _MERGED_CHANGE = 0.25
 # Positions along an exposure, and how far apart they may be, in sensor pixels: what is read is the picture through an
 # aperture of one.
 _POSITIONS, _SPACING = (5, 3, 1), 0.375
-# Eighths of all samples that may have more positions than others.
-_EIGHTHS = (0, 1, 4, 8)
 
 
 class Stream(NamedTuple):
@@ -159,37 +157,27 @@ def measured(
         still_for = possible if np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE else still_for
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
-    samples, needed = _longest_first(samples, fastest)
+    samples, positions = _longest_first(samples, fastest)
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
         jax.tree.map(jnp.asarray, padded),
         path,
         scale=scale,
-        positions=_positions(needed, padded.row.size),
         shape=(scale * height, scale * width),
+        positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
+        finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
     )
     return Measurements(samples, padded, placed, still_for)
 
 
-def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[Samples, list[int]]:
-    """The samples, those first that want most positions along their exposure, and how many want each of `_POSITIONS`;
-    `speed` in sensor pixels per frame."""
+def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[Samples, Int[np.ndarray, " n"]]:
+    """The samples and how many positions each gets along its exposure, those with most first; `speed` in sensor pixels
+    per frame."""
     with np.errstate(over="ignore", invalid="ignore"):
         moved = speed[samples.row, samples.column] * (samples.stop - samples.start)
-    fewer = [k * _SPACING <= moved for k in _POSITIONS[1:]]
-    level = np.sum(fewer, axis=0, dtype=np.int8)
+    level = np.sum([k * _SPACING <= moved for k in _POSITIONS[1:]], axis=0, dtype=np.int8)
+    # In this order what has no second position can be passed over in pieces.
     members = [np.flatnonzero(level == which) for which in reversed(range(len(_POSITIONS)))]
     order = np.concatenate(members)
-    return jax.tree.map(lambda values: values[order], samples), [each.size for each in members]
-
-
-def _positions(needed: list[int], total: int) -> Positions:
-    """How many of `total` samples have how many positions: one of few shares of all has 5, or 5 or 3, so that code
-    which was compiled for one recording serves for others. Some samples get more positions than they need."""
-    found, before = [], 0
-    for positions, wanted in zip(_POSITIONS, np.cumsum(needed), strict=True):
-        until = total if positions == 1 else next(part for e in _EIGHTHS if (part := total * e // 8) >= wanted)
-        if until > before:
-            found.append((until - before, positions))
-            before = until
-    return tuple(found)
+    positions = np.repeat(np.array(_POSITIONS, np.int32), [each.size for each in members])
+    return jax.tree.map(lambda values: values[order], samples), positions

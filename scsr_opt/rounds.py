@@ -107,10 +107,10 @@ class Rounds:
 
     def _corrected(self, plain: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"]) -> DataTerm:
         """The quadratic that lies on or above the true data term and touches it at `image`."""
-        factors = None
-        if self.robust is not None:
-            factors = robust_factors(self.robust, placed, plain, image)
-            plain = accumulate(placed, robust=factors, optics=self.optics)
+        if self.robust is None:
+            return plain if placed.finest == 1 else with_exposure(plain, placed, image)
+        factors = robust_factors(self.robust, placed, plain, image)
+        plain = accumulate(placed, robust=factors, optics=self.optics)
         return plain if placed.finest == 1 else with_exposure(plain, placed, image, robust=factors)
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:

@@ -56,7 +56,8 @@ def placed(case: Case) -> PlacedSamples:
         right=jnp.asarray(column - left, jnp.float32)[None],
     )
     return PlacedSamples(
-        (taps,),
+        taps,
+        jnp.ones(case.value.shape, jnp.int32),
         value=jnp.asarray(case.value, jnp.float32),
         weight=jnp.ones(case.value.shape, jnp.float32),
         scale=3,

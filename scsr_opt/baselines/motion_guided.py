@@ -166,7 +166,7 @@ def mgsr(
     long = moved.size > 0 and float(np.quantile(moved, 0.9)) > _LONG
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
     placed = place(
-        jax.tree.map(jnp.asarray, samples), path, scale=part.scale, positions=3 if long else 1, shape=part.shape
+        jax.tree.map(jnp.asarray, samples), path, scale=part.scale, finest=3 if long else 1, shape=part.shape
     )
     return solved(placed, bicubic(tfp_picture(part), part.scale), strength)
 

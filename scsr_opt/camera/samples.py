@@ -59,11 +59,11 @@ class Samples(eqx.Module):
     def padded(self) -> "Samples":
         """The same samples, padded with weight 0 to one of few lengths.
 
-        Code that was compiled for one number of samples then serves for others. Lengths are m·2^e with 4 ≤ m < 8, so
-        that at most a fifth is padding, and at least 1024.
+        Code that was compiled for one number of samples then serves for others. Lengths are 2^e and 3·2^e, at least
+        1024: up to half as many are added.
         """
         n = self.row.size
-        step = 1 << max(0, n.bit_length() - 3)
+        step = 1 << max(0, n.bit_length() - 2)
         extra = max(-n % step, 1024 - n)
 
         def pad(values: Shaped[np.ndarray | Array, " n"]) -> Shaped[np.ndarray, " m"]:

@@ -25,7 +25,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.alignment import smooth
 from scsr_opt.motion.parametric import generators
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear
-from scsr_opt.operators.sampling import PlacedSamples
+from scsr_opt.operators.sampling import PlacedSamples, moments
 
 # Samples that a motion of few numbers is refined on, evenly taken from all: 10⁵ to a number would add nothing.
 _SAMPLES = 1 << 17
@@ -187,24 +187,19 @@ def _votes(
     height, width = shape
     flat, wide = picture.reshape(-1), picture.shape[1]
     start, stop = jnp.asarray(samples.start), jnp.asarray(samples.stop)
-    slopes, middle = [], []
-    for taps, begin, end in zip(placed.taps, placed.split(start), placed.split(stop), strict=True):
-        total = jnp.zeros((2, begin.size), picture.dtype)
-        for k in range(taps.positions):
-            τ = begin + (end - begin) * ((k + 0.5) / taps.positions) - key
-            a, b, c, d = (flat[taps.index[k] + offset] for offset in (0, 1, wide, wide + 1))
-            down, right = taps.down[k], taps.right[k]
-            across = jnp.stack([(c - a) + right * (d - b - c + a), (b - a) + down * (d - b - c + a)])
-            # What a pixel sees lies at p − vτ: a higher velocity takes it back.
-            total = total - placed.scale / taps.positions * τ[None] * across
-        slopes.append(total)
-        middle.append(jax.tree.map(lambda along, half=taps.positions // 2: along[half], taps))
-    slope = jnp.concatenate(slopes, axis=1)
+    slope = jnp.zeros((2, start.size), picture.dtype)
+    for number in range(placed.finest):
+        taps = jax.tree.map(lambda of, number=number: of[number], placed.taps)
+        τ = moments(start, stop, placed.positions, number) - key
+        a, b, c, d = (flat[taps.index + offset] for offset in (0, 1, wide, wide + 1))
+        across = jnp.stack([(c - a) + taps.right * (d - b - c + a), (b - a) + taps.down * (d - b - c + a)])
+        # What a pixel sees lies at p − vτ: a higher velocity takes it back.
+        slope = slope - placed.scale * placed.share(number, τ)[None] * across
     residual = placed.read(picture) - placed.value
     weight = _robust(residual, placed.weight, jnp.asarray(samples.weight))
     noise = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight > 0, dtype=weight.dtype), 1)
     weight = weight / (noise + 1e-20)
-    shown = jax.tree.map(lambda *parts: jnp.concatenate(parts), *middle)
+    shown = jax.tree.map(lambda of: of[0], placed.taps)
     row, column = jnp.divmod(shown.index, wide)
     row = jnp.clip(jnp.round((row.astype(start.dtype) + shown.down) / placed.scale).astype(jnp.int32), 0, height - 1)
     column = jnp.clip(

@@ -178,8 +178,8 @@ def test_padding_is_little_and_of_few_lengths():
     sizes = np.arange(1, 5000)
     padded = np.array([lengths(int(n)) for n in sizes])
     assert np.all(padded >= sizes) and np.all(padded >= 1024)
-    assert np.all((padded - sizes <= sizes / 4) | (padded == 1024))
-    assert np.unique(padded).size <= 4 * np.log2(5000 / 1024) + 2
+    assert np.all((padded - sizes <= sizes / 2) | (padded == 1024))
+    assert np.unique(padded).size <= 2 * np.log2(5000 / 1024) + 2
 
 
 @settings(max_examples=20)

@@ -21,7 +21,7 @@ SCALE, KEY, SIDE = 2, 50, 100
 
 def placed(samples: Samples, motion: Motion) -> PlacedSamples:
     path = trajectory_of(motion, key=KEY, start=0, stop=101)
-    return place(samples, path, scale=SCALE, positions=1, shape=(SCALE * SIDE, SCALE * SIDE))
+    return place(samples, path, scale=SCALE, shape=(SCALE * SIDE, SCALE * SIDE))
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ def recorded(sigma: float) -> tuple[PlacedSamples, jax.Array]:
     samples = jax.tree.map(jnp.asarray, spike_intervals(made.spikes).padded())
     motion = Motion.of_velocity(np.broadcast_to(np.array(VELOCITY, np.float32)[:, None, None], (2, height, width)))
     path = trajectory_of(motion, key=40, start=0, stop=81)
-    placed = place(samples, path, scale=SCALE, positions=1, shape=(SCALE * height, SCALE * width))
+    placed = place(samples, path, scale=SCALE, shape=(SCALE * height, SCALE * width))
     return placed, samples.row * width + samples.column
 
 

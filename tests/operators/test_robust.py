@@ -33,7 +33,7 @@ def measured(each: int = 40, liars: float = 0.0, noise: float = 0.02) -> tuple[P
     samples = jax.tree.map(jnp.asarray, Samples(row, column, 0 * ones, ones, value, ones))
     position = np.indices((SIZE, SIZE)).astype(float)[None]
     path = Trajectory(jnp.asarray(0.0), jnp.asarray(position), jnp.ones((1, SIZE, SIZE)))
-    return place(samples, path, scale=1, positions=1, shape=(SIZE, SIZE)), truth, lies
+    return place(samples, path, scale=1, shape=(SIZE, SIZE)), truth, lies
 
 
 def solved(placed: PlacedSamples, robust=None) -> jax.Array:

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -67,11 +66,17 @@ def wandering(spread: float = 0.7, seed: int = 1) -> Trajectory:
 
 
 def placed_samples(
-    samples: Samples | None = None, path: Trajectory | None = None, scale: int = 2, positions: Any = 1
+    samples: Samples | None = None,
+    path: Trajectory | None = None,
+    scale: int = 2,
+    positions: int = 1,
+    each: np.ndarray | None = None,
 ) -> PlacedSamples:
     samples, path = some_samples() if samples is None else samples, wandering() if path is None else path
     shape = (SENSOR[0] * scale, SENSOR[1] * scale)
-    return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, positions=positions, shape=shape)
+    wanted = None if each is None else jnp.asarray(each)
+    on_device = jax.tree.map(jnp.asarray, samples)
+    return place(on_device, path, scale=scale, shape=shape, positions=wanted, finest=positions)
 
 
 def rows_one_by_one(samples: Samples, path: Trajectory, scale: int, positions: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,9 +92,10 @@ def rows_one_by_one(samples: Samples, path: Trajectory, scale: int, positions: i
         part = time / SPACING - before
         y, x = scale * ((1 - part) * places[before, :, r, c] + part * places[before + 1, :, r, c])
         seen = (1 - part) * visible[before, r, c] + part * visible[before + 1, r, c]
-        if not (0 <= y <= height - scale and 0 <= x <= width - scale):
+        if not (-1e-3 <= y <= height - scale + 1e-3 and -1e-3 <= x <= width - scale + 1e-3):
             weight[j] = 0
             continue
+        y, x = min(max(y, 0), height - scale), min(max(x, 0), width - scale)
         weight[j] = min(weight[j], samples.weight[j] * seen)
         for corner_y, corner_x in itertools.product(*((math.floor(v), math.floor(v) + 1) for v in (y, x))):
             share = (1 - abs(y - corner_y)) * (1 - abs(x - corner_x))
@@ -426,26 +432,43 @@ def test_correcting_again_and_again_lowers_the_exact_objective_to_its_minimum():
 
 def test_samples_with_several_numbers_of_positions_are_those_of_each_number_together():
     samples, path = some_samples(exposure=5), wandering(0.4)
-    together = placed_samples(samples, path, positions=((20, 5), (15, 3), (25, 1)))
-    assert together.positions == ((20, 5), (15, 3), (25, 1)) and together.finest == 5
-    parts = [(slice(0, 20), 5), (slice(20, 35), 3), (slice(35, 60), 1)]
-    apart = [placed_samples(jax.tree.map(lambda v, s=s: v[s], samples), path, positions=k) for s, k in parts]
+    number = np.random.default_rng(5).choice([1, 3, 5], 60)
+    together = placed_samples(samples, path, positions=5, each=number)
+    apart = {k: placed_samples(subset(samples, number == k), path, positions=int(k)) for k in (1, 3, 5)}
     u, values = jnp.asarray(random(together.shape)), jnp.asarray(random((60,), 1))
-    np.testing.assert_allclose(together.weight, jnp.concatenate([p.weight for p in apart]))
-    np.testing.assert_allclose(together.read(u), jnp.concatenate([p.read(u) for p in apart]), rtol=1e-12)
-    spread = sum(p.spread(values[s]) for p, (s, _) in zip(apart, parts, strict=True))
+    terms = {k: accumulate(placed) for k, placed in apart.items()}
+    for k, placed in apart.items():
+        np.testing.assert_allclose(together.weight[number == k], placed.weight)
+        np.testing.assert_allclose(together.read(u)[number == k], placed.read(u), rtol=1e-12)
+    spread = sum(placed.spread(values[number == k]) for k, placed in apart.items())
     np.testing.assert_allclose(together.spread(values), spread, atol=1e-12)
-    terms = [accumulate(p) for p in apart]
-    for found, each in (
-        (accumulate(together), terms),
-        (
-            with_exposure(accumulate(together), together, u),
-            [with_exposure(t, p, u) for t, p in zip(terms, apart, strict=True)],
-        ),
-    ):
-        for field in ("target", "energy"):
-            np.testing.assert_allclose(getattr(found, field), sum(getattr(t, field) for t in each), atol=1e-12)
-        np.testing.assert_allclose(found.stencil.planes, sum(t.stencil.planes for t in each), atol=1e-12)
+    assert_sum(accumulate(together), list(terms.values()))
+    corrected = [with_exposure(terms[k], apart[k], u) for k in apart]
+    assert_sum(with_exposure(accumulate(together), together, u), corrected)
+
+
+def assert_sum(found: DataTerm, of: list[DataTerm]):
+    for field in ("target", "energy"):
+        np.testing.assert_allclose(getattr(found, field), sum(getattr(term, field) for term in of), atol=1e-12)
+    np.testing.assert_allclose(found.stencil.planes, sum(term.stencil.planes for term in of), atol=1e-12)
+
+
+@pytest.mark.parametrize("number", [512, 1536, 600])
+def test_pieces_that_are_passed_over_are_as_if_they_had_been_visited(number):
+    """512 and 1536 samples are visited 512 at a time, 600 at once. All but a few have one position; the last ones have
+    no weight."""
+    samples, path = some_samples(number), wandering(0.4)
+    samples = eqx.tree_at(lambda s: s.weight, samples, np.where(np.arange(number) < number - 20, samples.weight, 0))
+    each = np.where(np.arange(number) < 5, 3, 1)
+    placed = placed_samples(samples, path, positions=3, each=each)
+    singly = [rows_one_by_one(samples, path, 2, k) for k in (1, 3)]
+    rows = np.where((each == 3)[:, None], singly[1][0].mean(0), singly[0][0][0])
+    weight = np.where(each == 3, singly[1][1], singly[0][1])
+    np.testing.assert_allclose(placed.weight, weight, atol=1e-12)
+    u, used = random(placed.shape), weight > 0
+    np.testing.assert_allclose(np.asarray(placed.read(jnp.asarray(u)))[used], (rows @ u.ravel())[used], atol=1e-12)
+    target = accumulate(placed).target
+    np.testing.assert_allclose(target.reshape(-1), (weight * np.asarray(samples.value)) @ rows, atol=1e-12)
 
 
 # ---- step size, and sensors that are hardly pictures ----

@@ -121,14 +121,20 @@ def reconstruct(
     _, stream = stream_around(recording, key=key, frames=frames, white_rate=white_rate, bad_pixels=bad_pixels)
     clock.lap("reading")
 
-    if velocity is None or isinstance(velocity, Estimator):
-        motion = estimate_motion(
+    velocity = Automatic(skip=skip) if velocity is None else velocity
+
+    def estimated(by: Estimator, gain: Float[np.ndarray, "h w"] | None) -> Motion:
+        return estimate_motion(
             stream.spikes,
             key=stream.key,
             white_rate=stream.white_rate,
-            estimator=Automatic(skip=skip) if velocity is None else velocity,
+            estimator=by,
             bad_pixels=stream.bad_pixels,
+            gain=gain,
         )
+
+    if isinstance(velocity, Estimator):
+        motion = estimated(velocity, gains)
     elif isinstance(velocity, Motion):
         given(velocity.velocity, height, width)  # of the right shape, and finite
         motion = velocity
@@ -193,6 +199,11 @@ def reconstruct(
         if gain == "auto" and learned["gain_spread"] < FIXED_PATTERN:
             break
         gains = blind_gains
+        if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
+            motion = estimated(velocity, gains)
+            measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
+            known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
+            gains = measured_as.gain(stream, motion, found.blurred)
         taken = measured_as.with_gain(gains, known, noise)
         if validate and turn == 0:  # a fixed pattern asked for more
             rounds = replace(rounds, strength=jnp.asarray(validated(taken).strength, jnp.float32))

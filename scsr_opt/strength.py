@@ -43,7 +43,7 @@ _SHARE, _STRETCH = 5, 8
 # Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
 # that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
 # by noise alone believed, where it always lost.
-_BEYOND, _AT_LEAST = (1.4, 2.0), (0.7, 0.6)
+_BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.6)
 _LOWEST, _HIGHEST = 0.5, 16.0
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4

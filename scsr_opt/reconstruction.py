@@ -78,7 +78,8 @@ def reconstruct(
     - `samples`: what the Y_i are: `Intervals()` if not given, or `Windows(length)` of so many frames.
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from a first picture and solve again, twice
       (`blind_gain`: where the scene moves by a pixel). "auto", the default, does that where the gains found spread by
-      more than they do by chance (`FIXED_PATTERN`).
+      more than they do by chance (`FIXED_PATTERN`). Motion is then estimated anew, as it is over gains handed in: a
+      pattern rests, whatever moves.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
     - `prior`: Ψ; `HuberTotalVariation` if not given.

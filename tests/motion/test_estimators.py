@@ -212,3 +212,20 @@ def test_one_picture_cannot_be_compared(pictures):
 def test_settings_out_of_range(make):
     with pytest.raises(InputError, match="it must be a"):
         make()
+
+
+def test_a_fixed_pattern_that_is_known_does_not_hold_the_motion_back():
+    """What rests on the sensor pulls a velocity towards zero: with the gains given, as little as without a pattern."""
+    picture = gaussian_filter(np.random.default_rng(3).random((128, 128)), 3)
+    picture = 0.5 + 0.1 * (picture - picture.mean()) / picture.std()
+    scene = Translation(np.clip(picture, 0, 1), (0.06, -0.04), key=32)
+    made = simulate(scene, scale=2, frames=65, sensor=Sensor(fixed_pattern=0.1), seed=1)
+    true = np.array([0.03, -0.02])[:, None, None]
+
+    def error(gain: np.ndarray | None) -> float:
+        found = estimate_motion(made.spikes, key=32, white_rate=made.white_rate, estimator=Global(), gain=gain)
+        return float(np.hypot(*(found.velocity - true)).mean())
+
+    known, unknown = error(made.gain), error(None)
+    print(f"velocity wrong by {known:.5f} with the gains, {unknown:.5f} without")
+    assert 4 * known < unknown

@@ -26,6 +26,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from scsr_opt.camera.samples import Samples
+from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Trajectory
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.operator import LinearOperator
@@ -244,40 +245,31 @@ def place(
     picture within a few exposures the short ones of bright moments remain, and it comes out too bright (by half at one
     sensor pixel a frame on 24 of them). Counting such samples for the part of them
     inside mends that and costs 1 dB where a lens blurs across the border.
+
+    **Raises:** `InputError` if `finest` is even.
     """
+    if finest % 2 == 0:
+        raise InputError(f"finest is {finest}, but exposures have an odd number of positions: 1, 3, 5, ….")
     height, width = shape
     start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))
     rows, columns = jnp.asarray(samples.row), jnp.asarray(samples.column)
     wanted = jnp.full(rows.shape, finest, jnp.int32) if positions is None else positions.astype(jnp.int32)
     wanted = jnp.where(full > 0, wanted, 0)
 
-    def piece(_: None, at: tuple[Array, ...]):
-        there, time, row, column = at
-
-        def found():
-            down, right, seen = path.at(row, column, time)
-            down, right = down * scale, right * scale
-            # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
-            inside = (down >= -1e-3) & (right >= -1e-3)
-            inside &= (down <= height - scale + 1e-3) & (right <= width - scale + 1e-3)
-            # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
-            down = jnp.clip(jnp.where(inside, down, 0), 0, height - scale)
-            right = jnp.clip(jnp.where(inside, right, 0), 0, width - scale)
-            top, left = down.astype(jnp.int32), right.astype(jnp.int32)
-            taps = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
-            return taps, jnp.where(inside, seen, 0)
-
-        def nothing():
-            return jax.tree.map(lambda of: jnp.zeros(of.shape, of.dtype), jax.eval_shape(found))
-
-        taps, seen = jax.lax.cond(jnp.any(there), found, nothing)
-        return None, (taps, jnp.where(there, seen, 1))
-
     def layer(weight: Float[Array, " n"], number: Int[Array, ""]):
-        pieces = _in_pieces((number < wanted, moments(start, stop, wanted, number), rows, columns))
-        _, (taps, seen) = jax.lax.scan(piece, None, pieces)
+        down, right, seen = path.at(rows, columns, moments(start, stop, wanted, number))
+        down, right = down * scale, right * scale
+        # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
+        inside = (down >= -1e-3) & (right >= -1e-3)
+        inside &= (down <= height - scale + 1e-3) & (right <= width - scale + 1e-3)
+        # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
+        down = jnp.clip(jnp.where(inside, down, 0), 0, height - scale)
+        right = jnp.clip(jnp.where(inside, right, 0), 0, width - scale)
+        top, left = down.astype(jnp.int32), right.astype(jnp.int32)
         # A sample counts as far as it can be used at each of its positions.
-        return jnp.minimum(weight, full * seen.reshape(-1)), jax.tree.map(lambda of: of.reshape(-1), taps)
+        least = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
+        taps = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
+        return jnp.where(number < wanted, least, weight), taps
 
     weight, taps = jax.lax.scan(layer, full, jnp.arange(finest, dtype=jnp.int32))
     return PlacedSamples(taps, wanted, value, weight, scale, shape)

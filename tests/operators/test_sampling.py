@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from scsr_opt.camera.samples import Samples
+from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, trajectory_of
 from scsr_opt.operators import (
     Aperture,
@@ -445,6 +446,11 @@ def test_samples_with_several_numbers_of_positions_are_those_of_each_number_toge
     assert_sum(accumulate(together), list(terms.values()))
     corrected = [with_exposure(terms[k], apart[k], u) for k in apart]
     assert_sum(with_exposure(accumulate(together), together, u), corrected)
+
+
+def test_an_even_number_of_positions_has_no_middle():
+    with pytest.raises(InputError, match="finest is 2, .* odd"):
+        placed_samples(positions=2)
 
 
 def assert_sum(found: DataTerm, of: list[DataTerm]):

@@ -147,7 +147,9 @@ def pose(
     begin = time.perf_counter()
     stream, scale = moment.stream, moment.scale
     gains = None if gain is None else pixel_gain(gain, moment.recording.height, moment.recording.width)
-    motion = estimate_motion(stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+    motion = estimate_motion(
+        stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gains
+    )
     measuring = Intervals()
     taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains)
     placed, first = taken.placed, first_picture(stream, moment.shape)

@@ -203,6 +203,7 @@ def reconstruct(
         if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
             motion = estimated(velocity, gains)
             measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
+            plan = _plan(stream, motion, measured_as, noise) if skip else None
             known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
             gains = measured_as.gain(stream, motion, found.blurred)
         taken = measured_as.with_gain(gains, known, noise)

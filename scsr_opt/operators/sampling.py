@@ -183,7 +183,7 @@ class PlacedSamples(eqx.Module):
         self, visit: Callable[..., Any], carry: Any, amount: Float[Array, " n"], *more: Float[Array, " n"]
     ) -> Any:
         """`carry` after `visit(carry, taps, amount_j / K_j, *more)` of all pieces of all positions, but for those that
-        have no amount; K_j is the number of a sample's positions."""
+        have no amount; K_j is the number of a sample's positions. In a call all but the carry is (m,), of one piece."""
 
         def piece(carry: Any, at: tuple[Taps, Array, tuple[Array, ...]]):
             taps, part, rest = at
@@ -203,11 +203,10 @@ class PlacedSamples(eqx.Module):
 def moments(
     start: Float[Array, " n"], stop: Float[Array, " n"], positions: Int[Array, " n"], number: Int[Array, ""] | int
 ) -> Float[Array, " n"]:
-    """When exposures are at their position of this number: 0 in the middle, 1 after it, 2 before it, 3 after 1, …."""
-    steps = (number + 1) // 2 * (2 * (number % 2) - 1)
-    return (start + stop) / 2 + (stop - start) * jnp.asarray(steps, start.dtype) / jnp.maximum(positions, 1).astype(
-        start.dtype
-    )
+    """When exposures are at their position of this number, frames: 0 in the middle, 1 after it, 2 before it, 3 after
+    1, …; `positions` of them lie on each."""
+    steps = jnp.asarray((number + 1) // 2 * (2 * (number % 2) - 1), start.dtype)
+    return (start + stop) / 2 + (stop - start) * steps / jnp.maximum(positions, 1).astype(start.dtype)
 
 
 def _in_pieces(tree: Any) -> Any:

@@ -1,6 +1,6 @@
 """Super-resolved pictures from spike camera recordings, by solving the imaging model directly.
 
-`reconstruct` is the door; `scsr_opt.camera` reads recordings and simulates them.
+`reconstruct` is the door, `sequence` that of many moments; `scsr_opt.camera` reads recordings and simulates them.
 """
 
 import importlib
@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from scsr_opt.camera.recording import Recording
     from scsr_opt.errors import InputError
+    from scsr_opt.key_frames import sequence
     from scsr_opt.reconstruction import reconstruct
     from scsr_opt.solvers.solution import Result, Solution, Stage
 
-__all__ = ["InputError", "Recording", "Result", "Solution", "Stage", "reconstruct"]
+__all__ = ["InputError", "Recording", "Result", "Solution", "Stage", "reconstruct", "sequence"]
 
 _HOME = {
     "InputError": "scsr_opt.errors",
@@ -21,6 +22,7 @@ _HOME = {
     "Solution": "scsr_opt.solvers.solution",
     "Stage": "scsr_opt.solvers.solution",
     "reconstruct": "scsr_opt.reconstruction",
+    "sequence": "scsr_opt.key_frames",
 }
 
 

@@ -148,7 +148,7 @@ def reconstruct(
     used = int(jnp.count_nonzero(taken.placed.weight))
     if used == 0 or not stream.spikes.any():
         stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
-        return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion.velocity, motion.confidence)
+        return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion)
     noise = noise_of_mean(stream)
     plan = _plan(stream, motion, taken, noise) if skip else None
     clock.lap("samples")
@@ -235,9 +235,7 @@ def reconstruct(
         "seconds": clock.laps,
     }
     stages = tuple(replace(stage, number=n) for n, stage in enumerate(stages, 1))
-    return Solution(
-        outcome.image, stages, outcome.result, stats, motion.velocity, motion.confidence, outcome.state, plan
-    )
+    return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, plan)
 
 
 def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float) -> Plan:

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from skimage import data
 
 from scsr_opt import InputError, Result, reconstruct
@@ -12,7 +13,7 @@ from scsr_opt.camera.gain import FIXED_PATTERN
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
 from scsr_opt.inputs import check_type
-from scsr_opt.motion import Motion
+from scsr_opt.motion import Global, Motion
 from scsr_opt.operators import Blur, Huber, Loss, Welsch
 from scsr_opt.priors import Bounded, HuberTotalVariation, TotalVariation, WaveletL1
 from scsr_opt.rounds import CORRECTIONS
@@ -119,6 +120,23 @@ def test_gains_that_are_known_or_found():
     assert found.stats["strength"] < 0.8 * ignored.stats["strength"]  # validated again, without the pattern
     assert 0.03 < found.stats["gain_spread"] < 0.1 and "gain_spread" not in known.stats
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
+
+
+def test_blind_gains_mend_the_motion():
+    """A pattern rests: it pulls the velocity towards zero until its gains are known (a third of the error, here)."""
+    picture = gaussian_filter(np.random.default_rng(3).random((128, 128)), 3)
+    picture = 0.5 + 0.1 * (picture - picture.mean()) / picture.std()
+    scene = Translation(np.clip(picture, 0, 1), (0.06, -0.04), key=32)
+    made = simulate(scene, scale=2, frames=65, sensor=Sensor(fixed_pattern=0.1), seed=1)
+
+    def error(gain) -> float:
+        found = reconstruct(made.spikes, scale=2, velocity=Global(), gain=gain).velocity
+        assert found is not None
+        return float(np.hypot(*(found - np.array([0.03, -0.02])[:, None, None])).mean())
+
+    found, ignored = error("blind"), error(None)
+    print(f"velocity wrong by {found:.5f} with the gains found, {ignored:.5f} without")
+    assert 3 * found < ignored
 
 
 def test_gains_that_do_not_spread_are_left_alone(made, usual):

@@ -17,6 +17,7 @@ from scsr_opt.cli.bench import bench
 from scsr_opt.cli.compare import compare
 from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.demo import demo
+from scsr_opt.cli.film import film
 from scsr_opt.cli.info import info
 from scsr_opt.cli.options import say_error
 from scsr_opt.cli.play import play
@@ -44,7 +45,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, baseline, demo, train, compare, stress, bench):
+for _command in (info, simulate, play, solve, film, baseline, demo, train, compare, stress, bench):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 

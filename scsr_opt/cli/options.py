@@ -100,6 +100,24 @@ def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:
     return recording.frames // 2 if key is None else key
 
 
+def moments(
+    recording: "scsr_opt.camera.Recording", start: int, stop: int | None, step: int | None, *, about: int
+) -> range:
+    """The frames that a film shows, from `start` to before `stop`, `about` so many where no step is given.
+
+    **Raises:** `InputError` for frames that the recording has not, or a step below 1.
+    """
+    last = recording.frames if stop is None else stop
+    if not 0 <= start < last <= recording.frames:
+        raise InputError(
+            f"A film from frame {start} to {last} does not lie in the recording, which has {recording.frames} frames: "
+            f"choose 0 <= --start < --stop <= {recording.frames}."
+        )
+    if step is not None and step < 1:
+        raise InputError(f"--step is {step}, but pictures of a film are at least 1 frame apart.")
+    return range(start, last, max(1, (last - start) // about) if step is None else step)
+
+
 def progress(quiet: bool) -> Progress:
     """Bars on standard error where somebody is there to see them."""
     return NoProgress() if quiet or not sys.stderr.isatty() else RichProgress()

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, moments, progress
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 
@@ -16,6 +16,8 @@ Method = Literal["tfp", "tfi", "stp"]
 
 # Playback from intervals looks back to the last spikes of a pixel: enough frames for pixels that fire 5 times in 1000.
 _CONTEXT = 1001
+# Pictures of a film, about, where nothing else is said.
+_PICTURES = 100
 
 
 def play(
@@ -62,20 +64,18 @@ def play(
     target = Path(f"{file.stem}_{method}.png") if output is None else output
     is_film = target.suffix.lower() in FILM_ENDINGS
     if is_film:
-        check_film(target)
+        check_film(target, rate=rate, gamma=gamma)
         if key is not None or bits is not None:
             raise InputError(f"--key and --bits are for pictures, but {target} is a film: leave them out.")
-        if not (0 < rate <= 1000):
-            raise InputError(f"--rate is {rate:g}, but it must be above 0 and at most 1000 pictures per second.")
     else:
         PictureFormat.of(target, bits=bits, gamma=gamma)
     check_outputs([file], output=target)
     recording = (reading or Reading()).open(file)
     player = _Player(recording, method, window)
     if is_film:
-        moments = _moments(recording, start, stop, step)
-        count = write_film(target, player.film(moments, progress(quiet)), rate=rate, gamma=gamma)
-        made = f"{count} pictures of frames {moments[0]} to {moments[-1]}, every {moments.step}."
+        keys = moments(recording, start, stop, step, about=_PICTURES)
+        count = write_film(target, player.film(keys, progress(quiet)), rate=rate, gamma=gamma)
+        made = f"{count} pictures of frames {keys[0]} to {keys[-1]}, every {keys.step}."
     else:
         moment = key_frame(recording, key)
         write_picture(target, player.picture(moment), bits=bits, gamma=gamma)
@@ -83,18 +83,6 @@ def play(
     if not quiet:
         print(f"{target}: {made}")
     return 0
-
-
-def _moments(recording: "scsr_opt.camera.Recording", start: int, stop: int | None, step: int | None) -> range:
-    last = recording.frames if stop is None else stop
-    if not 0 <= start < last <= recording.frames:
-        raise InputError(
-            f"A film from frame {start} to {last} does not lie in the recording, which has {recording.frames} frames: "
-            f"choose 0 <= --start < --stop <= {recording.frames}."
-        )
-    if step is not None and step < 1:
-        raise InputError(f"--step is {step}, but pictures of a film are at least 1 frame apart.")
-    return range(start, last, max(1, (last - start) // 100) if step is None else step)
 
 
 class _Player:

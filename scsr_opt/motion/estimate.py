@@ -215,13 +215,26 @@ def estimate_motion(
     frames, height, width = spikes.shape
     if frames < 3 or min(height, width) < 2:
         return Motion.none(height, width)
+    pictures = comparable(spikes, key=key, white_rate=white_rate, bad_pixels=bad_pixels, gain=gain)
+    motion = (Automatic() if estimator is None else estimator)(pictures)
+    return trusted(pictures, motion)
+
+
+def comparable(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    key: int,
+    white_rate: float | int,
+    bad_pixels: np.ndarray | None,
+    gain: Float[np.ndarray, "h w"] | None,
+) -> Stretches:
+    """The recording as pictures (`stretches`) in which what differs has moved: over the gains, bad pixels filled."""
     pictures = stretches(spikes, key=key, white_rate=white_rate)
     if gain is not None:
         pictures = replace(pictures, picture=pictures.picture / jnp.asarray(gain, jnp.float32)[None])
     if bad_pixels is not None and bad_pixels.any():
         pictures = replace(pictures, picture=filled(pictures.picture, ~bad_pixels))
-    motion = (Automatic() if estimator is None else estimator)(pictures)
-    return trusted(pictures, motion)
+    return pictures
 
 
 def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:

@@ -74,6 +74,22 @@ def layered(
     return found
 
 
+def relabelled(pictures: Stretches, motion: Motion) -> Motion:
+    """A motion of layers with the labels found on these pictures, the layers' own motions and depths as they are; any
+    other motion as it is."""
+    layers = motion.layers
+    if layers is None:
+        return motion
+    each = [
+        Motion(velocity, acceleration, motion.confidence)
+        for velocity, acceleration in zip(layers.velocity, layers.acceleration, strict=True)
+    ]
+    noise = typical_noise(pictures, motion, _SHARPNESS)
+    sharp = pictures.presmoothed(_SHARPNESS)
+    label = _label([_mismatch(sharp, one, noise) for one in each]).astype(np.int32)
+    return Motion.of_layers(eqx.tree_at(lambda found: found.label, layers, label), motion.confidence)
+
+
 def _layers(
     pictures: Stretches, motions: list[Motion], mismatches: list[Float[np.ndarray, "h w"]], everywhere: Motion
 ) -> Motion:

@@ -59,11 +59,15 @@ class PictureFormat:
                 f"{' or '.join(map(str, sorted(allowed)))}, or another ending."
             )
         chosen = allowed[0] if bits is None else bits
-        if not (np.isfinite(gamma) and gamma > 0):
-            raise InputError(f"gamma is {gamma}, but it must be above 0: 1 for linear intensity, 2.2 for looking at.")
+        _check_gamma(gamma)
         if chosen == 32 and gamma != 1.0:
             raise InputError(f"gamma is {gamma:g}, but 32-bit pictures hold linear intensity: leave it at 1.")
         return cls(ending, chosen, gamma)
+
+
+def _check_gamma(gamma: float) -> None:
+    if not (np.isfinite(gamma) and gamma > 0):
+        raise InputError(f"gamma is {gamma}, but it must be above 0: 1 for linear intensity, 2.2 for looking at.")
 
 
 def quantise(
@@ -160,11 +164,15 @@ def read_picture(path: str | os.PathLike[str]) -> Float[np.ndarray, "H W"]:
     return as_intensity(pixels, str(path)).astype(np.float32)
 
 
-def check_film(path: str | os.PathLike[str]) -> None:
+def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float = 1.0) -> None:
     """Finds out before the frames are made whether `path` can be written as a film.
 
-    **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder.
+    **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder; if the rate is not
+    above 0 and at most 1000 pictures per second, or gamma is not above 0.
     """
+    if not (0 < rate <= 1000):
+        raise InputError(f"rate is {rate:g}, but it must be above 0 and at most 1000 pictures per second.")
+    _check_gamma(gamma)
     ending = Path(path).suffix.lower()
     if ending not in FILM_ENDINGS:
         raise InputError(
@@ -192,9 +200,9 @@ def write_film(
 
     **Returns:** the number of pictures.
 
-    **Raises:** `InputError` if the format is not possible, there is no frame, or the file cannot be written.
+    **Raises:** `InputError` as `check_film`, if there is no frame, or the file cannot be written.
     """
-    check_film(path)
+    check_film(path, rate=rate, gamma=gamma)
     counter = _Counter(quantise(frame, gamma=gamma) for frame in frames)
     first = next(counter, None)
     if first is None:

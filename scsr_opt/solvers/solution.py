@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt.motion.trajectory import Motion
 from scsr_opt.skip import Plan
 
 
@@ -73,8 +74,7 @@ class Solution:
     - `stages`: one record per iteration.
     - `result`: how it ended.
     - `stats`: plain numbers worth reporting (iterations, strength, samples, seconds by part, …), ready for JSON.
-    - `velocity`: (2, h, w) float32, sensor pixels per frame ([0] rows, [1] columns), the motion that was used.
-    - `confidence`: (h, w) in [0, 1], how far that velocity can be trusted.
+    - `motion`: the motion that was used; None where there was none to use.
     - `state`: what is needed to go on from here (warm start).
     - `plan`: what each part of the scene asked for (`scsr_opt.skip.Plan`); None where nothing was skipped.
     """
@@ -83,7 +83,16 @@ class Solution:
     stages: tuple[Stage, ...]
     result: Result
     stats: dict[str, Any] = field(default_factory=dict)
-    velocity: Float[np.ndarray, "2 h w"] | None = None
-    confidence: Float[np.ndarray, "h w"] | None = None
+    motion: Motion | None = None
     state: Any = None
     plan: Plan | None = None
+
+    @property
+    def velocity(self) -> Float[np.ndarray, "2 h w"] | None:
+        """Of the motion, float32, sensor pixels per frame ([0] rows, [1] columns)."""
+        return None if self.motion is None else self.motion.velocity
+
+    @property
+    def confidence(self) -> Float[np.ndarray, "h w"] | None:
+        """In [0, 1], how far that velocity can be trusted."""
+        return None if self.motion is None else self.motion.confidence

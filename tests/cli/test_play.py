@@ -52,7 +52,8 @@ def test_play_a_film(scsr, file):
         (["-o", "a.gif", "--start", "20", "--stop", "10"], "A film from frame 20 to 10"),
         (["-o", "a.gif", "--stop", "32"], "choose 0 <= --start < --stop <= 31"),
         (["-o", "a.gif", "--step", "0"], "--step is 0"),
-        (["-o", "a.gif", "--rate", "0"], "--rate is 0"),
+        (["-o", "a.gif", "--rate", "0"], "rate is 0"),
+        (["-o", "a.gif", "--gamma", "0"], "gamma is 0"),
     ],
 )
 def test_play_refuses(scsr, here, file, options, message):

@@ -1,5 +1,6 @@
 """Layers: which surface is where, which is in front, and what a pixel sees of them."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from skimage import data
 from scsr_opt.camera import Intervals, Sensor, simulate
 from scsr_opt.camera.scenes import Box, MovingObject
 from scsr_opt.motion import Automatic, Motion, estimate_motion, layers, trajectory_of
+from scsr_opt.motion.alignment import Stretches
+from scsr_opt.motion.estimate import comparable
 from scsr_opt.motion.trajectory import SPACING, Layers
 from scsr_opt.placing import Stream, measured
 
@@ -127,3 +130,16 @@ def test_an_object_is_found_with_its_motion_its_outline_and_its_place_in_front(s
     found = motion.layers.velocity[commonest][:, inside].mean(1)
     np.testing.assert_allclose(found, speed, atol=2e-3)
     assert jnp.isfinite(trajectory_of(motion, key=50, start=0, stop=101).position).all()
+    # Labels that are wrong by 6 pixels find their places again.
+    label = motion.layers.label
+    moved = eqx.tree_at(lambda found: found.label, motion.layers, np.roll(label, 6, 1))
+    pictures = comparable(made.spikes, key=50, white_rate=0.6, bad_pixels=None, gain=None)
+    again = layers.relabelled(pictures, Motion.of_layers(moved, motion.confidence))
+    assert again.layers is not None
+    assert (moved.label != label).mean() > 0.05 > 0.02 > (again.layers.label != label).mean()
+
+
+def test_only_layers_have_labels():
+    pictures = Stretches(jnp.zeros((3, 8, 8)), jnp.arange(3.0))
+    still = Motion.none(8, 8)
+    assert layers.relabelled(pictures, still) is still

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from scsr_opt.motion import Motion
 from scsr_opt.solvers.solution import Result, Solution, Stage
 
 SCALE = 4
@@ -25,4 +26,4 @@ def solution(scene) -> Solution:
     velocity = np.zeros((2, 24, 40), np.float32)
     velocity[1, :, 20:] = 0.2
     stats = {"iterations": np.int64(12), "strength": np.float32(0.25), "odd": np.nan, "list": [np.bool_(True), None]}
-    return Solution(scene, stages, Result.converged, stats, velocity, np.ones((24, 40), np.float32))
+    return Solution(scene, stages, Result.converged, stats, Motion.of_velocity(velocity))

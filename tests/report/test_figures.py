@@ -68,7 +68,7 @@ def test_figure_shows_all_that_there_is(spikes, solution):
 
 
 def test_figure_without_stages_or_motion(spikes, solution):
-    bare = dataclasses.replace(solution, stages=(), velocity=None)
+    bare = dataclasses.replace(solution, stages=(), motion=None)
     recording = Recording.from_array(spikes, white_rate=0.3)
     assert _titles(figure(recording, bare, scale=4, key=0))[2:] == ["Motion: none", "Convergence: not recorded"]
 

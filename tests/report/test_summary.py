@@ -57,7 +57,7 @@ def test_lines_for_a_reader(report):
 
 def test_a_failed_solve_has_a_report_too(spikes, solution):
     failed = dataclasses.replace(
-        solution, image=np.full((96, 160), np.nan, np.float32), result=Result.non_finite, velocity=None, stages=()
+        solution, image=np.full((96, 160), np.nan, np.float32), result=Result.non_finite, motion=None, stages=()
     )
     told = json.loads(Report.of(Recording.from_array(spikes), failed, scale=4, key=0).json())
     assert told["picture"]["mean"] is None and told["motion"] is None and told["result"]["good"] is False

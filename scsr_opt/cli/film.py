@@ -1,0 +1,127 @@
+"""`scsr film`: a recording to a film of super-resolved pictures."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, moments, progress, say_error
+from scsr_opt.cli.solving import Solving
+from scsr_opt.errors import InputError
+from scsr_opt.progress import Progress
+
+if TYPE_CHECKING:
+    import scsr_opt
+    import scsr_opt.camera
+
+# Pictures of a film, about, where nothing else is said: each takes seconds.
+_PICTURES = 25
+
+
+def film(
+    file: File,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Film to write: .gif or .mp4.")],
+    scale: Annotated[
+        Whole, Parameter(help="Pixels of the pictures per sensor pixel, along each axis: 1, 2, 3, 4, …")
+    ] = 4,
+    start: Annotated[Whole, Parameter(help="First frame to show.")] = 0,
+    stop: Annotated[Whole | None, Parameter(help="Frame before which the film ends. Default: the end.")] = None,
+    step: Annotated[
+        Whole | None, Parameter(help="Frames from one picture to the next. Default: about 25 pictures in all.")
+    ] = None,
+    frames: Annotated[
+        Whole | None, Parameter(help="Use only so many frames around each key frame. Default: 101.")
+    ] = None,
+    rate: Annotated[float, Parameter(help="Pictures per second.")] = 25.0,
+    gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    pictures: Annotated[
+        Path | None,
+        Parameter(help="A folder in which each picture is written as well: FRAME.tif, 32 bit, linear intensity."),
+    ] = None,
+    solving: Solving | None = None,
+    reading: Reading | None = None,
+    quiet: Quiet = False,
+) -> int:
+    """Solve for the super-resolved pictures of many moments, each starting from what is known of the one before.
+
+    Motion is carried on from picture to picture and estimated anew where the recording contradicts it. The pictures are
+    those of `scsr solve` with --key.
+    """
+    from scsr_opt.report.pictures import check_film, write_film
+
+    check_film(output, rate=rate, gamma=gamma)
+    check_outputs([file], output=output)
+    if pictures is not None and not pictures.is_dir():
+        raise InputError(f"--pictures {pictures} is no folder: make it first, or leave the option out.")
+    for name, value in (("scale", scale), ("frames", frames)):
+        if value is not None and value < 1:
+            raise InputError(f"--{name} is {value}, but it must be at least 1.")
+    solving = solving or Solving()
+    solving.check()
+    recording = (reading or Reading()).open(file)
+    keys = moments(recording, start, stop, step, about=_PICTURES)
+    choices = solving.arguments(recording, scale)
+    if frames is not None:
+        choices["frames"] = frames
+
+    from scsr_opt import sequence
+
+    begin = time.perf_counter()
+    made = _Made(pictures)
+    solutions = sequence(recording, keys, scale=scale, **choices)
+    try:
+        count = write_film(output, made.images(keys, solutions, progress(quiet)), rate=rate, gamma=gamma)
+    except _Failed as failed:
+        say_error(f"Frame {failed.key}: {failed.sentence} No film was written.")
+        return 1
+    if not quiet:
+        each = (time.perf_counter() - begin) / count
+        print(
+            f"{output}: {count} pictures of frames {keys[0]} to {keys[-1]}, every {keys.step}; {each:.2g} s each.\n"
+            f"Motion was estimated {len(made.anew)} times, at {_listed(made.anew)}, and carried on between."
+        )
+    return 0
+
+
+class _Failed(Exception):
+    """A picture that could not be solved for."""
+
+    def __init__(self, key: int, sentence: str):
+        super().__init__(sentence)
+        self.key, self.sentence = key, sentence
+
+
+@dataclass
+class _Made:
+    """Pictures as they come, written to `folder` if there is one, and the frames at which motion was found `anew`."""
+
+    folder: Path | None
+    anew: list[int] = field(default_factory=list)
+
+    def images(self, keys: range, solutions: Iterator["scsr_opt.Solution"], meter: Progress) -> Iterator[Any]:
+        from scsr_opt.report.pictures import write_picture
+
+        meter.start(len(keys), "Solving")
+        try:
+            for key, solution in zip(keys, solutions, strict=True):
+                if not solution.result.good:
+                    raise _Failed(key, solution.result.sentence)
+                if not solution.stats["carried"]:
+                    self.anew.append(key)
+                if self.folder is not None:
+                    write_picture(self.folder / f"{key:0{len(str(keys[-1]))}d}.tif", solution.image, bits=32)
+                yield solution.image
+                meter.advance(1)
+        finally:
+            meter.finish()
+
+
+def _listed(frames: list[int]) -> str:
+    """The first few, in words."""
+    few = ", ".join(str(frame) for frame in frames[:5])
+    return f"frame{'s' if len(frames) > 1 else ''} {few}{', …' if len(frames) > 5 else ''}"

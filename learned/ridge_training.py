@@ -1,7 +1,8 @@
 """Trains the filters and splines of a `RidgeRegulariser` on the task that it is used for.
 
-A training problem is a patch of a picture, what sensors of apertures 1×1 (denoising), 2×2 or 4×4 would measure of it,
-and noise; each aperture on its grid, as in a still scene, or everywhere with random weights, as in a moving one:
+A training problem is a patch of a picture, what sensors of apertures 1×1 (denoising), 2×2 or 4×4 would measure of it
+(or those that are named only), and noise; each aperture on its grid, as in a still scene, or everywhere with random
+weights, as in a moving one:
 
     X*(θ) = argmin over X of ½ Σ_p m_p ((B X)(p) − Y_p)² + λ Ψ_θ(X),      minimise the error of X*(θ) over θ.
 
@@ -33,16 +34,25 @@ SIDE = 7
 # Negative slopes down to this share of the largest positive one, for the weakly convex prior.
 WEAKEST = 0.1
 _PATCH, _BATCH, _BATCHES = 48, 8, 30
-_TASKS = ((1, True), (2, True), (2, False), (4, True), (4, False))
 _NOISE = (0.004, 0.03)
-# λ/σ of each task, near the best for the first filters.
-_STRENGTHS = (6.0, 3.0, 12.0, 1.0, 6.0)
 _SOLVING, _SENSITIVITY = 6, 3
 _FIRST = 40
 _RATE = 0.02
 _KNOTS = (0.003, 0.008, 0.02, 0.05, 0.12)
 # scikit-image's own pictures that need no download. Not its astronaut, which is in evaluation sets.
 _OWN = ("camera", "coffee", "chelsea", "rocket", "brick", "grass", "gravel", "coins", "moon", "immunohistochemistry")
+
+
+class Task(NamedTuple):
+    """A kind of training problem: the side of the `aperture`; whether there is one measurement a sensor pixel, on its
+    `grid`, or some everywhere; and λ/σ to begin with, near the best for the first filters."""
+
+    aperture: int
+    grid: bool
+    strength: float
+
+
+TASKS = (Task(1, True, 6.0), Task(2, True, 3.0), Task(2, False, 12.0), Task(4, True, 1.0), Task(4, False, 6.0))
 
 
 class Parameters(NamedTuple):
@@ -71,14 +81,22 @@ class Problems(NamedTuple):
     sensitivity: Any
 
 
-def initial(generator: np.random.Generator, weakly: bool, singles: int = 5, pairs: int = 6) -> Parameters:
+def initial(
+    generator: np.random.Generator,
+    weakly: bool,
+    tasks: tuple[Task, ...] = TASKS,
+    side: int = SIDE,
+    singles: int = 5,
+    pairs: int = 6,
+) -> Parameters:
     """Small random filters of every kind, smoother ones larger, and splines near |t|."""
-    distance = np.hypot(*np.mgrid[-3:4, -3:4])
+    reach = side // 2
+    distance = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
     window = np.exp(-((distance / 2.5) ** 2))
     count = 4 * singles + 2 * pairs
 
     def filters(*shape: int) -> Array:
-        return jnp.asarray(generator.normal(size=(*shape, SIDE, SIDE)) * window * 0.15, jnp.float32)
+        return jnp.asarray(generator.normal(size=(*shape, side, side)) * window * 0.15, jnp.float32)
 
     share = np.array([0.9, 0.5, 0.25, 0.1, 0.03])
     if weakly:
@@ -90,7 +108,7 @@ def initial(generator: np.random.Generator, weakly: bool, singles: int = 5, pair
         paired=filters(2, pairs),
         knots=jnp.tile(jnp.asarray(rise, jnp.float32), (count, 1)),
         slopes=jnp.tile(jnp.asarray(np.log(share / (1 - share)), jnp.float32), (count, 1)),
-        strengths=jnp.log(jnp.asarray(_STRENGTHS, jnp.float32)),
+        strengths=jnp.log(jnp.asarray([task.strength for task in tasks], jnp.float32)),
     )
 
 
@@ -168,9 +186,9 @@ def _patch(found: list[np.ndarray], generator: np.random.Generator) -> np.ndarra
     return np.ascontiguousarray(patch[:, ::-1] if generator.integers(2) else patch)
 
 
-def problems(found: list[np.ndarray], generator: np.random.Generator, task: int) -> Problems:
+def problems(found: list[np.ndarray], generator: np.random.Generator, tasks: tuple[Task, ...], task: int) -> Problems:
     """A batch of one task, with a first picture for each."""
-    aperture, grid = _TASKS[task]
+    aperture, grid, _ = tasks[task]
     truth = np.stack([_patch(found, generator) for _ in range(_BATCH)])
     kernel = jnp.zeros((4, 4), jnp.float32).at[:aperture, :aperture].set(1 / aperture**2)
     seen = np.asarray(jax.vmap(lambda x: _blurred(kernel, x))(truth))
@@ -312,17 +330,26 @@ def make_step(optimiser: optax.GradientTransformation, weakly: bool) -> Any:
 
 
 def train(
-    out: Path, *, weakly: bool, folder: Path | None, minutes: float | int, seed: int = 0, report: Any = print
+    out: Path,
+    *,
+    weakly: bool,
+    folder: Path | None,
+    minutes: float | int,
+    apertures: tuple[int, ...] = (1, 2, 4),
+    side: int = SIDE,
+    seed: int = 0,
+    report: Any = print,
 ) -> RidgeRegulariser:
     """Trains for so many minutes, writes the prior to `out` and a card beside it.
 
-    **Arguments:** `weakly`: slopes may be negative. `folder` of pictures; scikit-image's own where None. `report`: told
-    of the progress, in words.
+    **Arguments:** `weakly`: slopes may be negative. `folder` of pictures; scikit-image's own where None. `apertures`
+    of the training problems, `side` of the filters. `report`: told of the progress, in words.
     """
+    tasks = tuple(task for task in TASKS if task.aperture in apertures)
     begin = time.perf_counter()
     generator = np.random.default_rng(seed)
     found = pictures(folder)
-    θ = initial(generator, weakly)
+    θ = initial(generator, weakly, tasks, side)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
     state = optimiser.init(θ)
     settle, step = make_step(optimiser, weakly)
@@ -335,7 +362,7 @@ def train(
             break
         place = number % _BATCHES
         if place == len(batches):
-            fresh = problems(found, generator, place % len(_TASKS))
+            fresh = problems(found, generator, tasks, place % len(tasks))
             kept = settle(θ, fresh)
             batches.append(fresh._replace(picture=kept.picture, sensitivity=kept.sensitivity))
         # The rate falls with the time that has passed, as the number of steps is not known beforehand.
@@ -346,16 +373,17 @@ def train(
         number += 1
         if number % _BATCHES == 0:
             recent = np.asarray(scores[-_BATCHES:])
-            tasks = " ".join(f"{recent[n :: len(_TASKS)].mean():.2f}" for n in range(len(_TASKS)))
+            each = " ".join(f"{recent[n :: len(tasks)].mean():.2f}" for n in range(len(tasks)))
             strengths = np.exp(np.asarray(θ.strengths)).round(2)
-            report(f"{number} steps, {60 * minutes * passed:.0f} s: {recent.mean():.2f} dB ({tasks}), λ/σ {strengths}")
+            report(f"{number} steps, {60 * minutes * passed:.0f} s: {recent.mean():.2f} dB ({each}), λ/σ {strengths}")
             save(out, RidgeRegulariser(*parts(θ, weakly)))
     prior = RidgeRegulariser(*parts(θ, weakly))
     save(out, prior)
+    of = ", ".join(str(aperture) for aperture in sorted(set(apertures)))
     card = {
         "prior": "weakly convex ridge regulariser" if weakly else "convex ridge regulariser",
         "pictures": len(found),
-        "patches": f"{_BATCHES * _BATCH} of {_PATCH}×{_PATCH}, apertures 1, 2, 4, noise {_NOISE[0]} to {_NOISE[1]}",
+        "patches": f"{_BATCHES * _BATCH} of {_PATCH}×{_PATCH}, apertures {of}, noise {_NOISE[0]} to {_NOISE[1]}",
         "steps": number,
         "minutes": minutes,
         "seed": seed,
@@ -374,10 +402,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
     parser.add_argument("--pictures", type=Path, help="a folder of pictures; scikit-image's own if not given")
     parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--apertures", type=int, nargs="+", choices=(1, 2, 4), default=(1, 2, 4))
+    parser.add_argument("--side", type=int, default=SIDE, help="of the filters, odd")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    weakly = given.kind == "weakly_convex"
-    train(given.out, weakly=weakly, folder=given.pictures, minutes=given.minutes, seed=given.seed)
+    train(
+        given.out,
+        weakly=given.kind == "weakly_convex",
+        folder=given.pictures,
+        minutes=given.minutes,
+        apertures=tuple(given.apertures),
+        side=given.side,
+        seed=given.seed,
+    )
 
 
 if __name__ == "__main__":

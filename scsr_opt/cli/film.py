@@ -49,8 +49,8 @@ def film(
 ) -> int:
     """Solve for the super-resolved pictures of many moments, each starting from what is known of the one before.
 
-    Motion is carried on from picture to picture and estimated anew where the recording contradicts it. The pictures are
-    those of `scsr solve` with --key.
+    Motion is carried on from picture to picture and estimated anew where the recording contradicts it. Each picture is
+    solved for as by `scsr solve` with --key, along that motion.
     """
     from scsr_opt.report.pictures import check_film, write_film
 

@@ -322,7 +322,8 @@ def make_step(optimiser: optax.GradientTransformation, weakly: bool) -> Any:
     def step(θ: Parameters, state: Any, batch: Problems, rate: Array) -> tuple[Parameters, Any, _Forward, Array]:
         forward = solved(θ, batch, _SOLVING)
         slope = jax.grad(slant)(θ, batch, forward)
-        updates, state = optimiser.update(slope, state, θ)
+        with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32 and multiplies by them
+            updates, state = optimiser.update(slope, state, θ)
         θ = jax.tree.map(lambda value, update: value - rate * update, θ, updates)
         return θ, state, forward, jnp.mean(-10 * jnp.log10(forward.error + 1e-8))
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
+from scsr_opt.inputs import whole
 from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.carry import carry, moved_along
 from scsr_opt.motion.estimate import comparable
@@ -57,7 +58,7 @@ def sequence(
     if estimator is not None and not isinstance(estimator, Estimator):
         raise InputError("sequence was given a velocity, which holds at one moment; hand in an Estimator, or nothing.")
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    return _pictures(recording, keys, int(scale), estimator, options)
+    return _pictures(recording, keys, whole(scale, "scale", 1), estimator, options)
 
 
 class _Known(NamedTuple):

@@ -105,9 +105,10 @@ def test_nothing_to_see_is_no_reason_to_stop():
         ({"state": 3}, "given state"),
         ({"velocity": (0.1, 0.2)}, "holds at one moment"),
         ({"frames": 0}, "frames"),
+        ({"scale": 0}, "scale"),
         ({"strength": -1.0}, "strength"),
     ],
 )
 def test_refuses(options, message):
     with pytest.raises(InputError, match=message):
-        list(sequence(np.ones((20, 8, 8), np.uint8), (10,), scale=SCALE, **options))
+        list(sequence(np.ones((20, 8, 8), np.uint8), (10,), **{"scale": SCALE, **options}))

@@ -121,7 +121,12 @@ def _explained(solution: Any) -> list[str]:
     if solution.plan is None:
         return ["Nothing was skipped."]
     parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.stats["seconds"].items())
-    return [*solution.plan.lines(), f"Time: {parts}."]
+    # The residual is of the whole picture, whatever was skipped on the way there.
+    left = [
+        f"One more iteration would change the whole picture by {100 * stage.residual:.1g} % at most."
+        for stage in solution.stages[-1:]
+    ]
+    return [*solution.plan.lines(), *left, f"Time: {parts}."]
 
 
 def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> None:

@@ -13,7 +13,7 @@ from scsr_opt.camera import tfp
 from scsr_opt.errors import InputError
 from scsr_opt.report import bicubic, read_picture
 from scsr_opt.skip import Plan
-from scsr_opt.solvers import Result, Solution
+from scsr_opt.solvers import Result, Solution, Stage
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 
@@ -46,11 +46,14 @@ def test_solve_is_silent_when_asked(scsr, file, asked):
 
 def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     plan = Plan(np.array([[0, 2, 2]]), np.array([[31, 1, 1]]), np.ones((1, 3), np.float32), "2 layers", 500, 200)
-    solution = Solution(np.zeros((48, 80), np.float32), (), Result.converged, {"seconds": {"motion": 0.5}}, plan=plan)
+    stages = (Stage(1, 1.0, 0.5, 0.5, 2e-4, 1.0),)
+    stats = {"seconds": {"motion": 0.5}}
+    solution = Solution(np.zeros((48, 80), np.float32), stages, Result.converged, stats, plan=plan)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
     assert "Time: motion 0.50 s." in said
+    assert "One more iteration would change the whole picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
         assert figure.width > figure.height
 

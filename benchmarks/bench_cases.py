@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from skimage import data
@@ -142,15 +141,22 @@ def posed(made: Simulation, measuring: Measuring, *, careful: bool) -> Posed:
     motion = given(VELOCITY, height, width)
     taken = measured(stream, motion, scale=made.scale, measuring=measuring)
     placed = taken.placed
+    start = first_picture(stream, placed.shape)
     if careful:
         strength = validated_strength(
-            stream, motion, taken, scale=made.scale, prior=HuberTotalVariation(), solver=FISTA(), measuring=measuring,
-        ).strength  # fmt: skip
+            stream,
+            motion,
+            taken,
+            start,
+            scale=made.scale,
+            prior=HuberTotalVariation(),
+            solver=FISTA(),
+            measuring=measuring,
+        ).strength
     else:
         share = _FOR_WINDOWS if isinstance(measuring, Windows) else 1
         strength = share * _STRENGTH * 2 / made.scale
-    start = first_picture(stream, placed.shape)
-    return Posed(made.scale, accumulate(placed), jnp.asarray(start), float(strength), made.truth(key))
+    return Posed(made.scale, accumulate(placed), start, float(strength), made.truth(key))
 
 
 def quality(truth: Float[np.ndarray, "H W"], image: Any, scale: int) -> tuple[float, float]:

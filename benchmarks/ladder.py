@@ -9,6 +9,7 @@ spikes on, compiled. The table gives the medians of the seconds, in turns, their
 import argparse
 import time
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def rows(made: Simulation, chosen: list[str], rounds: int) -> list[list[str]]:
     for turn in range(1 + rounds):  # the first compiles
         for name in chosen:
             made_by = model(name, made.scale)
-            only_picture = {"record": False} if isinstance(made_by, Network) else {}
+            only_picture: dict[str, Any] = {"record": False} if isinstance(made_by, Network) else {}
             begin = time.perf_counter()
             image = np.asarray(made_by(recording, scale=made.scale, **only_picture).image)
             if turn:

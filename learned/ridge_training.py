@@ -345,8 +345,14 @@ def train(
 
     **Arguments:** `weakly`: slopes may be negative. `folder` of pictures; scikit-image's own where None. `apertures`
     of the training problems, `side` of the filters. `report`: told of the progress, in words.
+
+    **Errors:** `InputError` for no known aperture, an even side, or a folder without large pictures.
     """
     tasks = tuple(task for task in TASKS if task.aperture in apertures)
+    if not tasks or side < 3 or side % 2 == 0:
+        raise InputError(
+            f"apertures are {apertures}, side {side}; some of 1, 2 and 4 are needed, and an odd side from 3."
+        )
     begin = time.perf_counter()
     generator = np.random.default_rng(seed)
     found = pictures(folder)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.inputs import whole
+from scsr_opt.inputs import pixel_gain, whole
 from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.carry import carry, moved_along
 from scsr_opt.motion.estimate import comparable
@@ -23,7 +23,7 @@ from scsr_opt.motion.evidence import contradicted
 from scsr_opt.motion.layers import relabelled
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.trust import trusted
-from scsr_opt.placing import Stream, stream_around
+from scsr_opt.placing import stream_around
 from scsr_opt.reconstruction import FRAMES, reconstruct
 from scsr_opt.solvers.solution import Solution
 
@@ -39,15 +39,18 @@ _MORE, _SHARE = 1.5, 0.005
 def sequence(
     spikes: ArrayLike | Recording, keys: Iterable[SupportsIndex], *, scale: SupportsIndex, **options: Any
 ) -> Iterator[Solution]:
-    """The pictures of the moments `keys`, one after the other, each as `reconstruct` gives it.
+    """The pictures X of the moments `keys`, one after the other: Eq. 4 of the paper for each (`reconstruct`).
 
-    Made as they are asked for, and the faster the less happens between them. `Solution.stats["carried"]` says whether
-    the motion is that of a picture before, carried on, or was estimated anew.
+    Made as they are asked for, and the faster the less happens between them.
 
     **Arguments:**
     - `spikes`, `scale`, `options`: as of `reconstruct`; without `key` and `state`, and `velocity` None or an
       `Estimator`.
     - `keys`: frames, best in order and a few frames apart.
+
+    **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity 1 = white. Where
+    `.stats["carried"]` is true, `.motion` is that of a picture before, carried on: not always what would be estimated
+    there.
 
     **Raises:** `InputError` as `reconstruct`, and for options that it finds itself.
     """
@@ -81,9 +84,14 @@ def _pictures(
 ) -> Iterator[Solution]:
     known: _Known | None = None
     around = {name: options.get(name) for name in ("white_rate", "bad_pixels")}
+    gain = options.get("gain")
+    gains = None if gain is None or isinstance(gain, str) else pixel_gain(gain, recording.height, recording.width)
     for key in keys:
         moment, stream = stream_around(recording, key=key, frames=options.get("frames", FRAMES), **around)
-        motion = None if known is None else _carried(known, stream, moment)
+        pictures = comparable(
+            stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gains
+        )
+        motion = None if known is None else _carried(known, pictures, moment)
         given = dict(options, velocity=estimator if motion is None else motion)
         if known is not None and motion is not None:
             before = carry(known.motion, known.key - known.since)
@@ -96,30 +104,19 @@ def _pictures(
         elif known is not None and motion is not None:
             known = known._replace(solution=solution, key=moment)
         else:
-            against = _against(_compared(stream), solution.motion)
-            known = _Known(solution, moment, solution.motion, moment, against)
+            known = _Known(solution, moment, solution.motion, moment, _against(pictures, solution.motion))
 
 
-def _carried(known: _Known, stream: Stream, key: int) -> Motion | None:
+def _carried(known: _Known, pictures: Stretches | None, key: int) -> Motion | None:
     """The motion at frame `key`, with its trust; None if the recording contradicts it."""
     if abs(key - known.since) > _OLDEST:
         return None
-    motion, pictures = carry(known.motion, key - known.since), _compared(stream)
+    motion = carry(known.motion, key - known.since)
     if pictures is not None:
         motion = relabelled(pictures, motion)
     if _against(pictures, motion) > _MORE * known.against + _SHARE:
         return None
     return motion if pictures is None else trusted(pictures, motion)
-
-
-def _compared(stream: Stream) -> Stretches | None:
-    """The pictures that motion is judged by; None of a recording that shows none."""
-    frames, height, width = stream.spikes.shape
-    if frames < 3 or min(height, width) < 2:
-        return None
-    return comparable(
-        stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=None
-    )
 
 
 def _against(pictures: Stretches | None, motion: Motion) -> float:

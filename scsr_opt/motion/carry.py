@@ -11,9 +11,9 @@ from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse, seen_a
 
 
 def carry(motion: Motion, frames: float | int) -> Motion:
-    """The motion `frames` later, along its own trajectories: what was at q with velocity v and acceleration a is at
-    q + v τ + ½ a τ² then, with velocity v + a τ. What was hidden belongs to the hindmost layer. Without trust, which is
-    of the moments around a key frame (`trusted`)."""
+    """The motion `frames` later (earlier, if below 0), along its own trajectories: what was at q with velocity v and
+    acceleration a is at q + v τ + ½ a τ² then, sensor pixels, with velocity v + a τ. What was hidden belongs to the
+    hindmost layer. Without trust, which is of the moments around a key frame (`trusted`)."""
     if frames == 0 or not _moves(motion):
         return motion
     after = jnp.asarray([frames], jnp.float32)

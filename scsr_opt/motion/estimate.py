@@ -212,10 +212,9 @@ def estimate_motion(
     `bad_pixels` are filled from their neighbours before anything is compared. A recording of fewer than three
     frames shows no motion.
     """
-    frames, height, width = spikes.shape
-    if frames < 3 or min(height, width) < 2:
-        return Motion.none(height, width)
     pictures = comparable(spikes, key=key, white_rate=white_rate, bad_pixels=bad_pixels, gain=gain)
+    if pictures is None:
+        return Motion.none(*spikes.shape[1:])
     motion = (Automatic() if estimator is None else estimator)(pictures)
     return trusted(pictures, motion)
 
@@ -227,8 +226,12 @@ def comparable(
     white_rate: float | int,
     bad_pixels: np.ndarray | None,
     gain: Float[np.ndarray, "h w"] | None,
-) -> Stretches:
-    """The recording as pictures (`stretches`) in which what differs has moved: over the gains, bad pixels filled."""
+) -> Stretches | None:
+    """The recording as pictures (`stretches`) in which what differs has moved: over the gains, bad pixels filled. None
+    where no motion can be seen, in fewer than three frames or a single row or column."""
+    frames, height, width = spikes.shape
+    if frames < 3 or min(height, width) < 2:
+        return None
     pictures = stretches(spikes, key=key, white_rate=white_rate)
     if gain is not None:
         pictures = replace(pictures, picture=pictures.picture / jnp.asarray(gain, jnp.float32)[None])

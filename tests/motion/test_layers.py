@@ -134,6 +134,7 @@ def test_an_object_is_found_with_its_motion_its_outline_and_its_place_in_front(s
     label = motion.layers.label
     moved = eqx.tree_at(lambda found: found.label, motion.layers, np.roll(label, 6, 1))
     pictures = comparable(made.spikes, key=50, white_rate=0.6, bad_pixels=None, gain=None)
+    assert pictures is not None
     again = layers.relabelled(pictures, Motion.of_layers(moved, motion.confidence))
     assert again.layers is not None
     assert (moved.label != label).mean() > 0.05 > 0.02 > (again.layers.label != label).mean()

@@ -85,9 +85,8 @@ def test_a_motion_is_not_carried_on_for_ever():
 
 def test_what_is_wanted_of_all_pictures_is_handed_on():
     made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
-    first, second = sequence(
-        made.spikes, (50, 60), scale=SCALE, strength=0.01, velocity=Global(affine=False), frames=61
-    )
+    options = {"strength": 0.01, "velocity": Global(affine=False), "frames": 61, "gain": np.ones((80, 80))}
+    first, second = sequence(made.spikes, (50, 60), scale=SCALE, **options)
     assert first.stats["strength"] == second.stats["strength"] == pytest.approx(0.01)
     assert second.velocity is not None and np.ptp(second.velocity, axis=(1, 2)).max() == 0
 
@@ -106,6 +105,7 @@ def test_nothing_to_see_is_no_reason_to_stop():
         ({"velocity": (0.1, 0.2)}, "holds at one moment"),
         ({"frames": 0}, "frames"),
         ({"scale": 0}, "scale"),
+        ({"gain": np.ones((3, 3))}, "gain is an array of shape"),
         ({"strength": -1.0}, "strength"),
     ],
 )

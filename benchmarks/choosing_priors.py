@@ -34,6 +34,7 @@ def tried() -> list[tuple[str, Prior, float, Solver]]:
         ("TV, anisotropic", priors.TotalVariation(isotropic=False), 1, fista),
         ("TV, bounded 0 … 1", priors.Bounded(tv, 0, 1), 1, fista),
         ("Huber-TV", priors.HuberTotalVariation(), 1, fista),
+        ("ridge", priors.RidgeRegulariser.load(), 1, fista),
         ("TGV", priors.TotalGeneralizedVariation(), 1, fista),
         ("bilateral TV", priors.BilateralTotalVariation(), 0.25, fista),
         ("wavelet L1", priors.WaveletL1(), 4, fista),

@@ -20,9 +20,10 @@ from learned.models import Network, model, names
 from scsr_opt.camera.scenes import Affine
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.errors import InputError
+from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser, default_prior
 
 # The same as `reconstruct`, which all others are compared with.
-_USUAL = "fista-huber"
+_USUAL = {RidgeRegulariser: "ridge", HuberTotalVariation: "fista-huber"}
 # Published for SpikeSR-Net and for Spk2VidNet, on an RTX 3090 and recordings of their own.
 _PUBLISHED = {"SpikeSR-Net (published, RTX 3090)": 1.088, "Spk2VidNet (published, RTX 3090)": 0.043}
 
@@ -48,7 +49,8 @@ def rows(made: Simulation, chosen: list[str], rounds: int) -> list[list[str]]:
             if turn:
                 taken[name].append(time.perf_counter() - begin)
             found[name] = quality(truth, image, made.scale)
-    usual = median(taken[_USUAL]) if _USUAL in taken else None
+    default = _USUAL[type(default_prior(made.scale))]
+    usual = median(taken[default]) if default in taken else None
 
     def ratio(seconds: float) -> str:
         return "–" if usual is None else f"{seconds / usual:.2f}"

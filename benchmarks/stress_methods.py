@@ -36,6 +36,7 @@ PRIORS: dict[str, Prior] = {
     "TV": priors.TotalVariation(),
     "anisotropic TV": priors.TotalVariation(isotropic=False),
     "Huber-TV": priors.HuberTotalVariation(),
+    "ridge": priors.RidgeRegulariser.load(),
     "bilateral TV": priors.BilateralTotalVariation(),
     "wavelet": priors.WaveletL1(),
     "bounded TV": priors.Bounded(priors.TotalVariation(), 0, 1),

@@ -10,7 +10,7 @@ from typing import Any
 
 
 def ridge(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """Eq. 4 with the convex `learned.ridge_regulariser` as its prior."""
+    """Eq. 4 with the convex `scsr_opt.priors.RidgeRegulariser` as its prior."""
     return _rung("ridge", scale)(spikes, scale=scale, key=key, white_rate=white_rate)
 
 

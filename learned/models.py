@@ -7,8 +7,8 @@ strength that `reconstruct` would use.
 | name | what it is |
 |---|---|
 | `ista-tv`, `fista-tv` | Eq. 5, plain and accelerated, with total variation |
-| `fista-huber` | what `reconstruct` does by default |
-| `ridge`, `ridge-weakly` | the same with a learned prior (`learned.ridge_regulariser`), convex and weakly convex |
+| `fista-huber` | with Huber-TV: what `reconstruct` does by default above a scale of 2 |
+| `ridge`, `ridge-weakly` | with a learned prior (`RidgeRegulariser`), convex and weakly convex: by default up to 2 |
 | `unrolled`, `unrolled-pase` | ISTA unrolled, with learned steps; on spike intervals, or on encoded spikes |
 | `spikesr-small`, `spikesr-full` | SpikeSR-Net |
 
@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike
 
 from learned import checkpoint
 from learned.posing import PRIOR, Known, Moment, Posed, moment, pose
-from learned.ridge_regulariser import load
 from learned.running import Call, Run, call
 from learned.spikesr import parameter_count
 from learned.stages import stages_of
@@ -40,6 +39,7 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.iterate import Solver
@@ -55,8 +55,8 @@ OPTIMIZERS: dict[str, Callable[[], tuple[Prior, Solver]]] = {
     "ista-tv": lambda: (TotalVariation(), ISTA()),
     "fista-tv": lambda: (TotalVariation(), FISTA()),
     "fista-huber": lambda: (PRIOR, FISTA()),
-    "ridge": lambda: (load("convex"), FISTA()),
-    "ridge-weakly": lambda: (load("weakly_convex"), FISTA()),
+    "ridge": lambda: (RidgeRegulariser.load("convex"), FISTA()),
+    "ridge-weakly": lambda: (RidgeRegulariser.load("weakly_convex"), FISTA()),
 }
 NETWORKS = ("unrolled", "unrolled-pase", "spikesr-small", "spikesr-full")
 

@@ -33,7 +33,7 @@ from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.strength import validated_strength
 
 PRIOR = HuberTotalVariation()
-"""Ψ of the problem that all models are measured by: the prior that `reconstruct` has if it is given none."""
+"""Ψ of the problem that all models are measured by, whatever they were given or have learned."""
 
 
 class Known(Estimator):

@@ -23,7 +23,7 @@ from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
 from scsr_opt.operators.sampling import DataTerm
 from scsr_opt.placing import Measurements, Stream, first_picture, measured, stream_around
-from scsr_opt.priors.huber_total_variation import HuberTotalVariation
+from scsr_opt.priors.default import default_prior
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.rounds import Rounds
@@ -82,7 +82,7 @@ def reconstruct(
       pattern rests, whatever moves.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
-    - `prior`: Ψ; `HuberTotalVariation` if not given.
+    - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 2, above it `HuberTotalVariation`.
     - `strength`: λ; if not given, the one that predicts intervals which were held out
       (`validated_strength`), or, with a robust loss, by their noise. `PlugAndPlay` needs one.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.
@@ -107,7 +107,7 @@ def reconstruct(
     shape = picture_shape(recording, scale)
     check_type(samples, Measuring, "samples", "Intervals()")
     check_type(prior, Prior, "prior", "HuberTotalVariation()")
-    prior = HuberTotalVariation() if prior is None else prior
+    prior = default_prior(scale) if prior is None else prior
     check_type(solver, Solver, "solver", "FISTA()")
     check_type(robust, Loss, "robust", "Huber()")
     lens = None if isinstance(optics, str) and optics == "estimate" else optics

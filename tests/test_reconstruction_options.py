@@ -208,11 +208,11 @@ def test_going_on_counts_for_iterations(made):
 @pytest.mark.parametrize(
     ("change", "asked"),
     [
-        ({"solver": ADMM()}, "ADMM with HuberTotalVariation can go on from to a picture of (48, 48)"),
+        ({"solver": ADMM()}, "ADMM with RidgeRegulariser can go on from to a picture of (48, 48)"),
         ({"prior": WaveletL1()}, "FISTA with WaveletL1"),
         ({"prior": Bounded(TotalVariation())}, "FISTA with Bounded"),
         ({"scale": 3}, "FISTA with HuberTotalVariation can go on from to a picture of (72, 72)"),
-        ({"state": "nothing"}, "FISTA with HuberTotalVariation"),
+        ({"state": "nothing"}, "FISTA with RidgeRegulariser"),
     ],
 )
 def test_a_state_that_does_not_fit(made, usual, change, asked):

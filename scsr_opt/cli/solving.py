@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     import scsr_opt.camera
 
-Prior = Literal["tv", "tv-anisotropic", "huber", "tgv", "bilateral", "wavelet", "nl-means", "red"]
+Prior = Literal["ridge", "huber", "tv", "tv-anisotropic", "tgv", "bilateral", "wavelet", "nl-means", "red"]
 Solver = Literal[
     "fista",
     "ista",
@@ -68,13 +68,13 @@ class Solving:
         ),
     ] = None
     prior: Annotated[
-        Prior,
+        Prior | None,
         Parameter(
-            help="What the picture is taken to be like: huber: flat with edges and soft shading; tv: without the "
-            "shading; tgv: slopes with edges; bilateral, wavelet: several scales; nl-means, red: texture that repeats "
-            "(slow)."
+            help="What the picture is taken to be like: ridge: as was learned from pictures; huber: flat with edges "
+            "and soft shading; tv: without the shading; tgv: slopes with edges; bilateral, wavelet: several scales; "
+            "nl-means, red: texture that repeats (slow). Default: ridge up to --scale 2, above it huber."
         ),
-    ] = "huber"
+    ] = None
     bounds: Annotated[
         str | None,
         Parameter(
@@ -91,7 +91,7 @@ class Solving:
         Solver,
         Parameter(
             help="All find the same picture where the prior is convex; fista is the fastest, ista plain Eq. 5. "
-            "nonlinear-cg and lbfgs are for --prior huber."
+            "nonlinear-cg and lbfgs are for --prior ridge and huber."
         ),
     ] = "fista"
     iterations: Annotated[
@@ -129,7 +129,7 @@ class Solving:
             "robust": self._robust(),
             "gain": self._gain(recording),
             "optics": self._optics(recording, scale),
-            "prior": self._prior(),
+            "prior": self._prior(scale),
             "strength": self.strength,
             "solver": self._solver(),
             "refine": self.refine or None,
@@ -179,12 +179,14 @@ class Solving:
 
         return Blur.gaussian((scale * recording.height, scale * recording.width), float(self.optics) * scale)
 
-    def _prior(self) -> Any:
-        if self.prior == "huber" and self.bounds is None:
+    def _prior(self, scale: int) -> Any:
+        if self.prior is None and self.bounds is None:
             return None
         from scsr_opt import priors
 
         prior = {
+            None: lambda: priors.default_prior(scale),
+            "ridge": priors.RidgeRegulariser.load,
             "huber": priors.HuberTotalVariation,
             "tv": priors.TotalVariation,
             "tv-anisotropic": lambda: priors.TotalVariation(isotropic=False),

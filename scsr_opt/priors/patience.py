@@ -7,9 +7,10 @@ from scsr_opt.priors.prior import Prior
 
 
 def patient(prior: Prior, iterations: int) -> Prior:
-    """The prior with at least so many inner iterations; as it is if its proximal step has none."""
+    """The prior with at least so many inner iterations, or what is enough for it; as it is if it has none."""
     if isinstance(prior, Bounded):
         return dataclasses.replace(prior, prior=patient(prior.prior, iterations))
+    iterations = min(iterations, prior.enough or iterations)
     given = getattr(prior, "iterations", None)
     if isinstance(given, int) and given < iterations:
         return dataclasses.replace(prior, iterations=iterations)

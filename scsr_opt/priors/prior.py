@@ -16,11 +16,13 @@ class Prior(eqx.Module, Generic[State]):
     Priors are values: whatever a proximal step wants to remember from one call to the next (the dual variable of total
     variation, say) travels through `state`, so that a solver can warm-start it and nothing is hidden.
 
-    **Class variable:** `smooth`: whether Ψ has a Lipschitz-continuous gradient, that of `value`, so that methods
-    without a proximal step can be used.
+    **Class variables:** `smooth`: whether Ψ has a Lipschitz-continuous gradient, that of `value`, so that methods
+    without a proximal step can be used. `enough`: so many inner iterations give as good as the exact proximal step from
+    any start, at the strengths in use; None where that is not known.
     """
 
     smooth: ClassVar[bool] = False
+    enough: ClassVar[int | None] = None
 
     @property
     def relative_strength(self) -> float | None:
@@ -32,6 +34,10 @@ class Prior(eqx.Module, Generic[State]):
     @abc.abstractmethod
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image)."""
+
+    def value_after(self, image: Float[Array, "H W"], state: State) -> Float[Array, ""]:
+        """Ψ(image), `image` and `state` being what a proximal step gave: for priors that know it by then."""
+        return self.value(image)
 
     @abc.abstractmethod
     def initial_state(self, image: Float[Array, "H W"]) -> State:

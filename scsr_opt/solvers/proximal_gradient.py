@@ -136,7 +136,7 @@ def _evidence(problem: Problem, step: _Step, residual: Float[Array, ""]) -> tupl
     if isinstance(prior, Analysis):
         penalty, off = misfit(prior, prior.analysis(step.image), step.prior)
         return λ * penalty, Evidence(step.image, step.data + λ * penalty, slope, λ * off, residual)
-    penalty = λ * prior.value(step.image)
+    penalty = λ * prior.value_after(step.image, step.prior)
     return penalty, Evidence(step.image, step.data + penalty, slope, None, residual)
 
 

@@ -44,6 +44,7 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
         ("--robust welsch", "robust", Welsch()),
         ("--gain blind", "gain", "blind"),
         ("--optics estimate", "optics", "estimate"),
+        ("--prior huber", "prior", priors.HuberTotalVariation()),
         ("--prior tv-anisotropic", "prior", priors.TotalVariation(isotropic=False)),
         ("--prior tv", "prior", priors.TotalVariation()),
         ("--prior tgv", "prior", priors.TotalGeneralizedVariation()),
@@ -75,10 +76,18 @@ def test_choices_are_passed_on(scsr, file, asked, options, name, value):
     assert asked[0].keys() == {"spikes", "scale", "key", "frames", name}
 
 
+def test_the_learned_prior(scsr, file, asked):
+    scsr("solve", file, "-o", "a.png", "--prior", "ridge")
+    scsr("solve", file, "-o", "a.png", "--scale", "2", "--bounds", "0,1")
+    assert isinstance(asked[0]["prior"], priors.RidgeRegulariser)
+    assert isinstance(asked[1]["prior"], priors.Bounded) and isinstance(
+        asked[1]["prior"].prior, priors.RidgeRegulariser
+    )
+
+
 def test_what_is_said_is_the_default_changes_nothing(scsr, file, asked):
     scsr(
-        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--prior", "huber", "--solver",
-        "fista", "--refine", "0",
+        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--solver", "fista", "--refine", "0"
     )  # fmt: skip
     assert asked[0].keys() == {"spikes", "scale", "key", "frames"}
 

@@ -1,7 +1,6 @@
 """Learned ridge regularisers: their bounds, their proximal step, and the solvers that take them."""
 
 import json
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +8,10 @@ import numpy as np
 import pytest
 import skimage.data
 
-import learned.ridge_regulariser as ridge
 import scsr_opt
-from learned.ridge_regulariser import RidgeRegulariser
-from learned.ridge_training import WEAKEST, bend, initial, parts, pictures, train
 from scsr_opt.errors import InputError
+from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser, default_prior, ridge_regulariser
+from scsr_opt.priors.ridge_regulariser import WEIGHTS, bank_norm_squared, correlate, correlate_adjoint
 from scsr_opt.solvers import FISTA, ISTA, NonlinearCG
 
 KINDS = ("convex", "weakly_convex")
@@ -21,7 +19,7 @@ KINDS = ("convex", "weakly_convex")
 
 @pytest.fixture(params=KINDS)
 def prior(request) -> RidgeRegulariser:
-    return ridge.load(request.param)
+    return RidgeRegulariser.load(request.param)
 
 
 def noise(seed: int, *shape: int) -> np.ndarray:
@@ -34,27 +32,27 @@ def picture(side: int = 40) -> jax.Array:
 
 def test_shipped_files_are_small_and_carry_a_card():
     for kind in KINDS:
-        path = Path(ridge.__file__).parent / "checkpoints" / f"ridge_{kind}.npz"
+        path = WEIGHTS / f"ridge_{kind}.npz"
         assert path.stat().st_size < 50_000
         card = json.loads(path.with_suffix(".json").read_text())
         assert {"steps", "minutes", "patches", "curvature", "concavity"} <= set(card)
-        prior = ridge.load(kind)
+        prior = RidgeRegulariser.load(kind)
         assert card["curvature"] == pytest.approx(prior.curvature, rel=1e-4)
         assert card["concavity"] == pytest.approx(prior.concavity, rel=1e-4, abs=1e-9)
 
 
 def test_convex_has_no_negative_slope_and_the_other_has():
-    assert ridge.load("convex").concavity == 0
-    weak = ridge.load("weakly_convex")
+    assert RidgeRegulariser.load("convex").concavity == 0
+    weak = RidgeRegulariser.load("weakly_convex")
     assert 0 < weak.concavity < weak.curvature
 
 
 @pytest.mark.parametrize("shape", [(12, 12), (3, 20), (31, 24)])
 def test_adjoint(prior, shape):
     x = jnp.asarray(noise(1, *shape), jnp.float32)
-    field = jnp.asarray(noise(2, *shape, len(prior.filters)), jnp.float32)
-    forward = jnp.sum(ridge.correlate(prior.filters, x) * field)
-    backward = jnp.sum(x * ridge.correlate_adjoint(prior.filters, field))
+    field = jnp.asarray(noise(2, len(prior.filters), *shape), jnp.float32)
+    forward = jnp.sum(correlate(prior.filters, x) * field)
+    backward = jnp.sum(x * correlate_adjoint(prior.filters, field))
     # Of a sum of n products of size 1, float32 keeps eps·√n or so of √n.
     assert float(abs(forward - backward)) < 1e-5 * float(jnp.linalg.norm(x) * jnp.linalg.norm(field))
 
@@ -74,11 +72,11 @@ def test_gradient_is_that_of_the_value(prior):
 def test_norm_is_within_its_bound(prior, shape):
     x = jnp.asarray(noise(4, *shape), jnp.float32)
     bank = np.asarray(prior.filters, np.float64)
-    bound = ridge.bank_norm_squared(bank)
+    bound = bank_norm_squared(bank)
 
     @jax.jit
     def normal(x: jax.Array) -> jax.Array:
-        return ridge.correlate_adjoint(prior.filters, ridge.correlate(prior.filters, x))
+        return correlate_adjoint(prior.filters, correlate(prior.filters, x))
 
     for _ in range(60):
         x = x / jnp.linalg.norm(x)
@@ -103,14 +101,30 @@ def test_curvature_lies_between_the_bounds(prior):
 
 def test_weak_convexity_is_reached():
     """A test that a prior without negative slopes would fail: some pair bends downwards."""
-    prior = ridge.load("weakly_convex")
+    prior = RidgeRegulariser.load("weakly_convex")
     lowest = 0.0
-    field = jnp.asarray(noise(0, 40, 40, len(prior.filters)), jnp.float32)
+    field = jnp.asarray(noise(0, len(prior.filters), 40, 40), jnp.float32)
     for size in np.geomspace(0.001, 1, 12):
-        direction = jnp.asarray(size, jnp.float32) * ridge.correlate_adjoint(prior.filters, field)
+        direction = jnp.asarray(size, jnp.float32) * correlate_adjoint(prior.filters, field)
         change = prior.gradient(1.05 * direction) - prior.gradient(direction)
         lowest = min(lowest, float(jnp.sum(change * direction)))
     assert lowest < 0
+
+
+@pytest.mark.parametrize("shape", [(40, 40), (7, 30), (41, 3)])
+def test_bands_are_the_whole(prior, shape, monkeypatch):
+    """Few rows at a time, the last band with rows of the one before."""
+    x = jnp.asarray(noise(9, *shape), jnp.float32)
+    value, gradient = prior.value_and_gradient(x)
+    monkeypatch.setattr(ridge_regulariser, "_BAND", 3 * shape[1] * len(prior.filters))
+    by_bands, by_bands_gradient = prior.value_and_gradient(x)
+    assert float(by_bands) == pytest.approx(float(value), rel=1e-5)
+    np.testing.assert_allclose(by_bands_gradient, gradient, atol=1e-5 * prior.curvature)
+
+
+def test_default_by_scale():
+    assert isinstance(default_prior(1), RidgeRegulariser) and isinstance(default_prior(2), RidgeRegulariser)
+    assert isinstance(default_prior(3), HuberTotalVariation)
 
 
 def test_does_not_change_with_mirroring(prior):
@@ -123,12 +137,18 @@ def test_does_not_change_with_mirroring(prior):
 def test_proximal_step_meets_its_optimality_condition(prior):
     noisy = picture() + jnp.asarray(0.05 * noise(5, 40, 40), jnp.float32)
     strength = 0.5 / prior.curvature
-    solved, again = RidgeRegulariser(prior.filters, prior.knots, prior.slopes, 200).prox(noisy, strength, noisy)
+    patient = RidgeRegulariser(prior.filters, prior.knots, prior.slopes, 200)
+    solved, state = patient.prox(noisy, strength, patient.initial_state(noisy))
     slope = solved - noisy + strength * prior.gradient(solved)
     # κ is at most a few: converged to rounding, eps times the size of what is added up.
     assert float(jnp.abs(slope).max()) < 1e-5
     assert float(jnp.abs(solved - noisy).max()) > 1e-3
-    np.testing.assert_array_equal(solved, again)
+    np.testing.assert_array_equal(solved, state.image)
+    assert float(prior.value_after(solved, state)) == float(state.value)
+    value, gradient = prior.value_and_gradient(solved)
+    # The same sums, compiled in another program.
+    assert float(state.value) == pytest.approx(float(value), rel=1e-5)
+    np.testing.assert_allclose(state.gradient, gradient, atol=1e-5 * prior.curvature)
 
 
 @pytest.mark.parametrize("times", [0.5, 10.0, 200.0])
@@ -141,13 +161,13 @@ def test_few_proximal_steps_never_rise_above_their_start(prior, times):
     def objective(x: jax.Array) -> float:
         return float(jnp.sum((x - noisy) ** 2) / 2 + strength * prior.value(x))
 
-    solved, _ = prior.prox(noisy, strength, start)
+    solved, _ = prior.prox(noisy, strength, prior.initial_state(start))
     assert objective(solved) < objective(start)
 
 
 def test_strength_zero_gives_the_picture_back(prior):
     noisy = picture() + jnp.asarray(0.05 * noise(7, 40, 40), jnp.float32)
-    solved, _ = prior.prox(noisy, 0.0, picture())
+    solved, _ = prior.prox(noisy, 0.0, prior.initial_state(picture()))
     np.testing.assert_allclose(solved, noisy, atol=1e-6)  # rounding of x − (x − noisy)
 
 
@@ -161,7 +181,7 @@ def recording(side: int = 16, frames: int = 61) -> np.ndarray:
 
 
 def test_ista_falls_in_every_iteration_and_fista_and_cg_agree_with_it():
-    prior = ridge.load("convex")
+    prior = RidgeRegulariser.load("convex")
     given = {"scale": 2, "prior": prior, "strength": 0.004, "velocity": (0.0, 0.0)}
     slow = scsr_opt.reconstruct(recording(), solver=ISTA(60, tolerance=0), **given)
     objectives = np.array([stage.objective for stage in slow.stages])
@@ -176,7 +196,12 @@ def test_ista_falls_in_every_iteration_and_fista_and_cg_agree_with_it():
 
 def test_weakly_convex_falls_in_every_iteration_of_ista():
     solution = scsr_opt.reconstruct(
-        recording(), scale=2, prior=ridge.load("weakly_convex"), strength=0.004, velocity=(0, 0), solver=ISTA(40, 0)
+        recording(),
+        scale=2,
+        prior=RidgeRegulariser.load("weakly_convex"),
+        strength=0.004,
+        velocity=(0, 0),
+        solver=ISTA(40, 0),
     )
     objectives = np.array([stage.objective for stage in solution.stages])
     assert (np.diff(objectives) <= 64 * np.finfo(np.float32).eps * objectives[0]).all()
@@ -192,27 +217,27 @@ def test_scaling(prior):
 
 
 def test_save_and_load(prior, tmp_path):
-    ridge.save(tmp_path / "p.npz", prior)
-    again = ridge.load(tmp_path / "p.npz", iterations=prior.iterations)
+    prior.save(tmp_path / "p.npz")
+    again = RidgeRegulariser.load(tmp_path / "p.npz", iterations=prior.iterations)
     np.testing.assert_array_equal(again.filters, prior.filters)
     assert (again.curvature, again.concavity) == (prior.curvature, prior.concavity)
 
 
 def test_damaged_and_foreign_files_are_refused(prior, tmp_path):
     path = tmp_path / "p.npz"
-    ridge.save(path, prior)
+    prior.save(path)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="damaged"):
-        ridge.load(path)
+        RidgeRegulariser.load(path)
     path.write_bytes(whole[:200] + bytes(200) + whole[400:])
     with pytest.raises(InputError, match="damaged"):
-        ridge.load(path)
+        RidgeRegulariser.load(path)
     np.savez(path, other=np.zeros(3))
     with pytest.raises(InputError, match="damaged"):
-        ridge.load(path)
+        RidgeRegulariser.load(path)
     with pytest.raises(InputError, match="no ridge regulariser"):
-        ridge.load("concave")
+        RidgeRegulariser.load("concave")
 
 
 @pytest.mark.parametrize(
@@ -227,42 +252,9 @@ def test_damaged_and_foreign_files_are_refused(prior, tmp_path):
     ],
 )
 def test_arrays_that_do_not_serve_are_refused(change, message):
-    prior = ridge.load("convex")
+    prior = RidgeRegulariser.load("convex")
     arrays = (np.asarray(v, np.float64) for v in (prior.filters, prior.knots, prior.slopes))
     with pytest.raises(InputError, match=message):
         RidgeRegulariser(*change(*arrays))
     with pytest.raises(InputError, match="iterations"):
-        ridge.load("convex", iterations=0)
-
-
-@pytest.mark.parametrize("weakly", [False, True])
-def test_any_parameters_give_a_valid_prior(weakly):
-    θ = jax.tree.map(lambda v: 2 * v, initial(np.random.default_rng(3), weakly))
-    filters, knots, slopes = parts(θ, weakly)
-    prior = RidgeRegulariser(filters, knots, slopes)
-    least = WEAKEST if weakly else 0
-    assert -least <= float(prior.slopes.min()) and float(prior.slopes.max()) <= 1
-    # The bank is divided by its norm on 32 frequencies a side: 1/cos²(6π/32) above it at most, and not below.
-    assert 0.999 <= ridge.bank_norm_squared(np.asarray(filters, np.float64)) <= 1 / np.cos(6 * np.pi / 32) ** 2 * 1.03
-
-
-def test_bend_is_the_derivative_of_the_spline():
-    prior = ridge.load("weakly_convex")
-    field = jnp.asarray(0.05 * noise(8, 4, 4, len(prior.filters)), jnp.float32)
-    _, slope = jax.jvp(lambda t: ridge.derivative(prior.knots, prior.slopes, t), (field,), (jnp.ones_like(field),))
-    np.testing.assert_allclose(bend(prior.knots, prior.slopes, field), slope, rtol=1e-4, atol=1e-4 * prior.curvature)
-
-
-def test_pictures_come_from_a_folder_or_from_scikit_image(tmp_path):
-    assert all(p.ndim == 2 and 0 <= p.min() and p.max() <= 1 for p in pictures(None))
-    with pytest.raises(InputError, match="no picture"):
-        pictures(tmp_path)
-
-
-@pytest.mark.slow
-def test_training_lowers_the_error(tmp_path):
-    lines: list[str] = []
-    prior = train(tmp_path / "p.npz", weakly=False, folder=None, minutes=2.0, report=lines.append)
-    assert prior.concavity == 0
-    scores = [float(line.split("s: ")[1].split(" dB")[0]) for line in lines]
-    assert scores[-1] > scores[0] + 0.3
+        RidgeRegulariser.load("convex", iterations=0)

@@ -1,8 +1,8 @@
 """Eq. 4 for one recording: what the optimizer finds out before it iterates, so that networks can be measured by it.
 
 Motion, measurements, strength and first picture come from the functions that `reconstruct` takes them from, in the same
-order and with the same defaults. One difference: a sensor's fixed pattern is not looked for. Networks know nothing of
-it, so it stays in what all are compared on, unless the gains are handed in.
+order and with the same defaults. Two differences: the prior is Huber-TV at every scale, and a sensor's fixed pattern is
+not looked for. Networks know nothing of it, so it stays in what all are compared on, unless the gains are handed in.
 """
 
 import time

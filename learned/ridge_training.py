@@ -391,9 +391,7 @@ def train(
         θ, state, kept, score = step(θ, state, batches[place], rate)
         batches[place] = batches[place]._replace(picture=kept.picture, sensitivity=kept.sensitivity)
         if not np.isfinite(float(score)):
-            raise InputError(
-                f"Training ran away after {number} steps; {out.name} is worth nothing. Train for less long."
-            )
+            raise InputError(f"Training ran away after {number} steps; {out.name} is of no use. Train for less long.")
         scores.append(float(score))
         number += 1
         if number % _BATCHES == 0:
@@ -427,7 +425,7 @@ def finished(prior: RidgeRegulariser, batches: list[Problems]) -> RidgeRegularis
     falls = slopes - np.pad(slopes[:, 1:], ((0, 0), (0, 1)))
     steepest = np.abs(np.cumsum(falls * knots, 1)).max(1) * np.linalg.norm(filters, axis=(1, 2))
     alive = steepest > _ALIVE * steepest.max()
-    prior = RidgeRegulariser(filters[alive], knots[alive], slopes[alive], prior.iterations)
+    prior = RidgeRegulariser(filters[alive], knots[alive], slopes[alive])
     pictures = jnp.asarray(np.concatenate([batch.truth for batch in batches]))
     usual, own = (float(jnp.sum(jax.lax.map(of.value, pictures))) for of in (HuberTotalVariation(), prior))
     return prior.scaled(_OVER_TV * usual / own)

@@ -16,13 +16,11 @@ class Prior(eqx.Module, Generic[State]):
     Priors are values: whatever a proximal step wants to remember from one call to the next (the dual variable of total
     variation, say) travels through `state`, so that a solver can warm-start it and nothing is hidden.
 
-    **Class variables:** `smooth`: whether Ψ has a Lipschitz-continuous gradient, that of `value`, so that methods
-    without a proximal step can be used. `enough`: so many inner iterations give as good as the exact proximal step from
-    any start, at the strengths in use; None where that is not known.
+    **Class variable:** `smooth`: whether Ψ has a Lipschitz-continuous gradient, that of `value`, so that methods
+    without a proximal step can be used.
     """
 
     smooth: ClassVar[bool] = False
-    enough: ClassVar[int | None] = None
 
     @property
     def relative_strength(self) -> float | None:

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import positive, whole
+from scsr_opt.priors.checks import positive
 from scsr_opt.priors.prior import Prior
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -30,6 +30,8 @@ _GRID = 128
 _ROUNDING = 1e-5
 # What is seen by all filters together of a band of the picture, values: 1 MB in float32, so that it stays in the cache.
 _BAND = 250_000
+# Steps of a proximal step: at most, and where no number is enough for certain.
+_MOST, _PLAIN = 100, 3
 # What reading raises where a file is cut, changed or of another kind.
 _DAMAGE = (KeyError, ValueError, EOFError, OSError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
 
@@ -61,43 +63,42 @@ class RidgeRegulariser(Prior[RidgeState]):
 
     Ψ is convex if no slope is negative, and else becomes so by adding ½·concavity·‖X‖².
 
-    The proximal step minimises ½‖X − f‖² + λΨ(X) by `iterations` steps of Nesterov's method for strongly convex
-    functions, from the result of the last call. With κ = (1 + λ·curvature)/(1 − λ·concavity), the distance to the
-    optimum is at most 2(1 − 1/√κ)^k times that of the start after k steps (Nesterov, 2004, "Introductory lectures on
-    convex optimization", Theorem 2.2.3). Where that is not below 1, plain gradient steps of size 1/(1 + λ·curvature)
-    are made instead. So the result is never above the start, which is what the objective of ISTA needs to fall in
-    each iteration: there the start is the picture before, at which the majorant and the objective agree. That holds
-    for the weakly convex prior as well; but F is then not convex, and what is reached is a critical point. Where
-    λ·concavity < 1 the proximal step itself still has a single minimiser: denoising stays a convex problem.
+    The proximal step minimises ½‖X − f‖² + λΨ(X) by Nesterov's method for strongly convex functions, from the result of
+    the last call. With κ = (1 + λ·curvature)/(1 − λ·concavity), the distance to the optimum is at most 2(1 − 1/√κ)^k
+    times that of the start after k steps (Nesterov, 2004, "Introductory lectures on convex optimization", Theorem
+    2.2.3); as many are made as bring that to `accuracy`: two in an iteration of FISTA by day. Where λ·concavity ≥ 1
+    nothing is certain, and three plain gradient steps of size 1/(1 + λ·curvature) are made. So the result is never
+    above the start, which is what the objective of ISTA needs to fall in each iteration: there the start is the picture
+    before, at which the majorant and the objective agree. That holds for the weakly convex prior as well; but F is then
+    not convex, and what is reached is a critical point. Where λ·concavity < 1 the proximal step itself still has a
+    single minimiser: denoising stays a convex problem.
 
     Ψ and ∇Ψ at the result are kept for the next call, which begins with them, and for the record of the solvers: k
-    steps cost k evaluations of ∇Ψ and nothing else. Two are as good as ten for FISTA, one is not.
+    steps cost k evaluations of ∇Ψ and nothing else.
 
-    **Fields:** `filters`, `knots` τ, `slopes` s (one row a filter), `iterations`, and the two bounds.
+    **Fields:** `filters`, `knots` τ, `slopes` s (one row a filter), `accuracy`, and the two bounds.
 
     **Arguments:** as the fields; `filters` of odd side and zero mean, at the unit of the picture.
 
     **Errors:** `InputError` for a filter that sees constants, a bank that mirroring changes, knots that are not
-    positive and increasing, arrays that do not fit each other or are not finite, fewer than one iteration.
+    positive and increasing, arrays that do not fit each other or are not finite, an accuracy not between 0 and 1.
     """
 
     smooth: ClassVar[bool] = True
-    # κ of a FISTA step is 1.5 by day and 2.4 in dim light: after 20 steps a millionth of the error is left.
-    enough: ClassVar[int | None] = 20
 
     filters: Float[Array, "C k k"]
     knots: Float[Array, "C K"]
     slopes: Float[Array, "C K"]
-    iterations: int = eqx.field(static=True)
+    accuracy: Float[Array, ""]
     curvature: float = eqx.field(static=True)
     concavity: float = eqx.field(static=True)
 
-    def __init__(self, filters: ArrayLike, knots: ArrayLike, slopes: ArrayLike, iterations: int = 2):
+    def __init__(self, filters: ArrayLike, knots: ArrayLike, slopes: ArrayLike, accuracy: float | int = 0.2):
         bank, τ, s = (np.asarray(values, np.float64) for values in (filters, knots, slopes))
         _check(bank, τ, s)
         norm_squared = bank_norm_squared(bank)
         self.filters, self.knots, self.slopes = (jnp.asarray(values, jnp.float32) for values in (bank, τ, s))
-        self.iterations = whole("RidgeRegulariser", iterations, "iterations")
+        self.accuracy = jnp.asarray(positive("RidgeRegulariser", "an accuracy", accuracy, 1), jnp.float32)
         self.curvature = norm_squared * max(float(s.max()), 0.0)
         self.concavity = norm_squared * max(-float(s.min()), 0.0)
 
@@ -109,6 +110,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         """∇Ψ(image) = Σ_c W_cᵀ ψ_c'(W_c image)."""
         return self.value_and_gradient(image)[1]
 
+    @eqx.filter_jit
     def value_and_gradient(self, image: Float[Array, "H W"]) -> tuple[Float[Array, ""], Float[Array, "H W"]]:
         """Ψ and ∇Ψ. By bands of rows: what all filters see of a whole picture is many times as large as the picture."""
         count, side, _ = self.filters.shape
@@ -147,13 +149,14 @@ class RidgeRegulariser(Prior[RidgeState]):
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: RidgeState
     ) -> tuple[Float[Array, "H W"], RidgeState]:
-        """argmin over X of ½‖X − image‖² + strength·Ψ(X), to the accuracy of `iterations` steps from `state`; and the
-        same picture, to start from next time."""
+        """argmin over X of ½‖X − image‖² + strength·Ψ(X), as far from it as `accuracy` allows, `state` being where to
+        start; and the same picture, to start from next time."""
         λ = jnp.asarray(strength, image.dtype)
         steepest, flattest = 1 + λ * self.curvature, 1 - λ * self.concavity
         rate = jnp.sqrt(jnp.maximum(flattest, 0) / steepest)
-        certain = 2 * (1 - rate) ** self.iterations < 1
-        momentum = jnp.where(certain, (1 - rate) / (1 + rate), 0)
+        enough = jnp.ceil(jnp.log(self.accuracy.astype(image.dtype) / 2) / jnp.log1p(-rate))
+        steps = jnp.where(flattest > 0, jnp.clip(enough, 1, _MOST), _PLAIN).astype(jnp.int32)
+        momentum = jnp.where(flattest > 0, (1 - rate) / (1 + rate), 0)
 
         def moved(ahead: Array, gradient: Array) -> Array:
             return ahead - (ahead - image + λ * gradient) / steepest
@@ -165,7 +168,7 @@ class RidgeRegulariser(Prior[RidgeState]):
             return following, beyond, self.gradient(beyond)
 
         begin = (state.image, state.image, state.gradient)
-        _, ahead, gradient = jax.lax.fori_loop(0, self.iterations - 1, descend, begin)
+        _, ahead, gradient = jax.lax.fori_loop(0, steps - 1, descend, begin)
         result = moved(ahead, gradient)
         return result, RidgeState(result, *self.value_and_gradient(result))
 
@@ -176,7 +179,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         """
         weight, finer = positive("scaled", "a weight", weight), positive("scaled", "the factor finer", finer)
         knots, slopes = np.asarray(self.knots) / finer, np.asarray(self.slopes) * (weight * finer)
-        return RidgeRegulariser(self.filters, knots, slopes, self.iterations)
+        return RidgeRegulariser(self.filters, knots, slopes, float(self.accuracy))
 
     def save(self, path: str | Path) -> None:
         """Writes filters, knots and slopes as an `.npz` file."""
@@ -184,7 +187,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         np.savez_compressed(path, filters=filters, knots=knots, slopes=slopes)
 
     @classmethod
-    def load(cls, name: str | Path = "convex", iterations: int = 2) -> "RidgeRegulariser":
+    def load(cls, name: str | Path = "convex", accuracy: float | int = 0.2) -> "RidgeRegulariser":
         """A shipped prior, "convex" or "weakly_convex", or one from an `.npz` file that `save` wrote.
 
         The shipped ones are weighted so that λ means about what it does with `HuberTotalVariation`.
@@ -207,7 +210,7 @@ class RidgeRegulariser(Prior[RidgeState]):
                 f"{path.name} is not the file of a ridge regulariser, or it is damaged ({error}); copy or train it "
                 "anew."
             ) from error
-        return cls(**parts, iterations=iterations)
+        return cls(**parts, accuracy=accuracy)
 
 
 def correlate(filters: Float[Array, "C k k"], image: Float[Array, "H W"]) -> Float[Array, "C H W"]:

@@ -48,7 +48,7 @@ def posed(recording) -> Posed:
 
 @pytest.fixture(scope="module")
 def solution(recording):
-    return reconstruct(recording, scale=2)
+    return reconstruct(recording, scale=2, prior=posing.PRIOR)
 
 
 @pytest.fixture(scope="module")
@@ -92,10 +92,11 @@ def test_which_models_can_be_used(shelf):
         assert model(name, 2).name == name
 
 
-def test_the_default_rung_is_reconstruct(recording, solution):
-    rung = model("fista-huber", 2)(recording, scale=2)
-    np.testing.assert_array_equal(rung.image, solution.image)
-    assert [stage.objective for stage in rung.stages] == [stage.objective for stage in solution.stages]
+@pytest.mark.parametrize(("scale", "name"), [(2, "ridge"), (3, "fista-huber")])
+def test_the_default_rung_is_reconstruct(recording, scale, name):
+    rung, usual = model(name, scale)(recording, scale=scale), reconstruct(recording, scale=scale)
+    np.testing.assert_array_equal(rung.image, usual.image)
+    assert [stage.objective for stage in rung.stages] == [stage.objective for stage in usual.stages]
 
 
 def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
@@ -107,7 +108,9 @@ def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
     assert float(reading.objective) == pytest.approx(solution.stages[-1].objective, rel=1e-5)
     rung = model("fista-huber", 2)
     assert isinstance(rung, Optimizer)
-    again = reconstruct(posed.moment.recording, scale=2, key=posed.moment.key, strength=float(posed.strength))
+    again = reconstruct(
+        posed.moment.recording, scale=2, key=posed.moment.key, strength=float(posed.strength), prior=posing.PRIOR
+    )
     np.testing.assert_array_equal(rung.solve(posed).image, again.image)
     again = rung.solve(posed, start=solution.image)
     # Its dual variable, which a picture does not hold, is all that has to be found again.

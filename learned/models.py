@@ -1,8 +1,8 @@
 """The ladder of models with one face: from ISTA with total variation to the full SpikeSR-Net.
 
 `model(name, scale)` gives a rung; `rung(spikes, scale=…)` gives a `Solution`, whose stages are recorded alike: those of
-an optimizer as its solver records them, those of a network by Eq. 4 at its own iterates, with the data term and strength
-that `reconstruct` would use with `HuberTotalVariation`.
+an optimizer as its solver records them, those of a network by Eq. 4 at its own iterates, with Huber-TV for a prior and
+the data term and strength that `reconstruct` would use with it.
 
 | name | what it is |
 |---|---|

@@ -7,8 +7,8 @@ the data term and strength that `reconstruct` would use with it.
 | name | what it is |
 |---|---|
 | `ista-tv`, `fista-tv` | Eq. 5, plain and accelerated, with total variation |
-| `fista-huber` | with Huber-TV: what `reconstruct` does by default above a scale of 2 |
-| `ridge`, `ridge-weakly` | with a learned prior (`RidgeRegulariser`), convex and weakly convex: by default up to 2 |
+| `fista-huber` | with Huber-TV: what `reconstruct` does by default above a scale of 3 |
+| `ridge`, `ridge-weakly` | with a learned prior (`RidgeRegulariser`), convex and weakly convex: by default up to 3 |
 | `unrolled`, `unrolled-pase` | ISTA unrolled, with learned steps; on spike intervals, or on encoded spikes |
 | `spikesr-small`, `spikesr-full` | SpikeSR-Net |
 

@@ -82,7 +82,7 @@ def reconstruct(
       pattern rests, whatever moves.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
-    - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 2, above it `HuberTotalVariation`.
+    - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
     - `strength`: λ; if not given, the one that predicts intervals which were held out
       (`validated_strength`), or, with a robust loss, by their noise. `PlugAndPlay` needs one.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.

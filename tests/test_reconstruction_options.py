@@ -211,7 +211,7 @@ def test_going_on_counts_for_iterations(made):
         ({"solver": ADMM()}, "ADMM with RidgeRegulariser can go on from to a picture of (48, 48)"),
         ({"prior": WaveletL1()}, "FISTA with WaveletL1"),
         ({"prior": Bounded(TotalVariation())}, "FISTA with Bounded"),
-        ({"scale": 3}, "FISTA with HuberTotalVariation can go on from to a picture of (72, 72)"),
+        ({"scale": 3}, "FISTA with RidgeRegulariser can go on from to a picture of (72, 72)"),
         ({"state": "nothing"}, "FISTA with RidgeRegulariser"),
     ],
 )

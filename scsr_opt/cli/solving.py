@@ -72,7 +72,7 @@ class Solving:
         Parameter(
             help="What the picture is taken to be like: ridge: as was learned from pictures; huber: flat with edges "
             "and soft shading; tv: without the shading; tgv: slopes with edges; bilateral, wavelet: several scales; "
-            "nl-means, red: texture that repeats (slow). Default: ridge up to --scale 2, above it huber."
+            "nl-means, red: texture that repeats (slow). Default: ridge up to --scale 3, above it huber."
         ),
     ] = None
     bounds: Annotated[

@@ -162,8 +162,8 @@ def test_a_proximal_step_leaves_no_more_than_its_accuracy(times):
 
 
 def test_default_by_scale():
-    assert isinstance(default_prior(1), RidgeRegulariser) and isinstance(default_prior(2), RidgeRegulariser)
-    assert isinstance(default_prior(3), HuberTotalVariation)
+    assert isinstance(default_prior(1), RidgeRegulariser) and isinstance(default_prior(3), RidgeRegulariser)
+    assert isinstance(default_prior(4), HuberTotalVariation)
 
 
 def test_does_not_change_with_mirroring(prior):

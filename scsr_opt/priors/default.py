@@ -6,8 +6,8 @@ from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 
-# What was learned of pictures is worth 0.7 dB at ×2, 0.3 at ×3 and 0.15 at ×4, where an iteration of a full sensor would
-# take three times as long (docs/measurements.md).
+# What was learned of pictures is worth 0.7 dB at ×2, 0.3 at ×3 and 0.15 at ×4, where a full sensor would take twice as
+# long (docs/measurements.md).
 _LEARNED = 3
 
 

@@ -29,7 +29,7 @@ from scsr_opt.motion import Motion, estimate_motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.operators.sampling import PlacedSamples, place
 from scsr_opt.placing import Stream, measured
-from scsr_opt.priors import HuberTotalVariation
+from scsr_opt.priors import default_prior
 from scsr_opt.rounds import Rounds
 from scsr_opt.solvers import FISTA
 
@@ -38,8 +38,8 @@ FACTORS = (2.0, 1.4, 1.0, 0.7, 0.5, 0.35, 0.18, 0.09)
 COLUMNS = ("reconstruct", "strength", "motion", "occlusion", "noise-free")
 
 
-def solved(placed: PlacedSamples, image: jax.Array, strength: float) -> np.ndarray:
-    rounds = Rounds(FISTA(), HuberTotalVariation(), jnp.asarray(strength, jnp.float32), None, None, None, False)
+def solved(placed: PlacedSamples, image: jax.Array, strength: float, scale: int) -> np.ndarray:
+    rounds = Rounds(FISTA(), default_prior(scale), jnp.asarray(strength, jnp.float32), None, None, None, False)
     return np.asarray(rounds(placed, image).outcome.image)
 
 
@@ -83,7 +83,7 @@ def split(quality: Any, recording: Any, scale: int) -> list[float]:
     image, λ = jnp.asarray(solution.image), solution.stats["strength"]
 
     def best(placed: PlacedSamples) -> float:
-        return max(quality(recording.truth, solved(placed, image, λ * factor), scale)[0] for factor in FACTORS)
+        return max(quality(recording.truth, solved(placed, image, λ * factor, scale), scale)[0] for factor in FACTORS)
 
     stream = Stream(recording.spikes, key, rate, None)
     found = measured(

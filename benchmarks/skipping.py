@@ -28,7 +28,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion import Automatic, estimate_motion
 from scsr_opt.operators import Aperture
 from scsr_opt.placing import measured, stream_around
-from scsr_opt.priors import HuberTotalVariation
+from scsr_opt.priors import default_prior
 from scsr_opt.skip import TILE
 
 
@@ -73,7 +73,7 @@ def excess(case: Case, full: Solution, other: Solution) -> float:
         stream.spikes, key=stream.key, white_rate=stream.white_rate, estimator=Automatic(skip=False)
     )
     placed = measured(stream, motion, scale=case.scale, measuring=Intervals(), merge=False).placed
-    aperture, prior = Aperture(full.image.shape, case.scale), HuberTotalVariation()
+    aperture, prior = Aperture(full.image.shape, case.scale), default_prior(case.scale)
 
     def objective(image: Float[np.ndarray, "H W"]) -> float:
         missed = placed.read(aperture(jnp.asarray(image))) - placed.value

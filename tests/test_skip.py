@@ -15,7 +15,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion import Motion
 from scsr_opt.operators.sampling import accumulate
 from scsr_opt.placing import Stream, measured
-from scsr_opt.priors import HuberTotalVariation
+from scsr_opt.priors import default_prior
 from scsr_opt.report import plan_figure
 from scsr_opt.skip import TILE, Kind, plan_of
 
@@ -86,7 +86,7 @@ def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
     assert full.velocity is not None and np.array_equal(full.velocity, np.asarray(skipping.velocity))
     motion = Motion.of_velocity(np.asarray(full.velocity))
     every = accumulate(measured(stream, motion, scale=SCALE, measuring=Intervals(), merge=False).placed)
-    strength, prior = full.stats["strength"], HuberTotalVariation()
+    strength, prior = full.stats["strength"], default_prior(SCALE)
     values = [
         float(every.value(jnp.asarray(s.image)) + strength * prior.value(jnp.asarray(s.image)))
         for s in (full, skipping)

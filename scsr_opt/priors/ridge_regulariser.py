@@ -78,7 +78,8 @@ class RidgeRegulariser(Prior[RidgeState]):
 
     **Fields:** `filters`, `knots` τ, `slopes` s (one row a filter), `accuracy`, and the two bounds.
 
-    **Arguments:** as the fields; `filters` of odd side and zero mean, at the unit of the picture.
+    **Arguments:** as the fields; `filters` of odd side and zero mean; `knots` in intensity; `accuracy` between 0 and 1,
+    what may be left of the distance to the optimum.
 
     **Errors:** `InputError` for a filter that sees constants, a bank that mirroring changes, knots that are not
     positive and increasing, arrays that do not fit each other or are not finite, an accuracy not between 0 and 1.
@@ -190,7 +191,8 @@ class RidgeRegulariser(Prior[RidgeState]):
     def load(cls, name: str | Path = "convex", accuracy: float | int = 0.2) -> "RidgeRegulariser":
         """A shipped prior, "convex" or "weakly_convex", or one from an `.npz` file that `save` wrote.
 
-        The shipped ones are weighted so that λ means about what it does with `HuberTotalVariation`.
+        The shipped ones are weighted so that λ means about what it does with `HuberTotalVariation`. `accuracy` is that
+        of the class.
 
         **Errors:** `InputError` for a file that is missing, damaged or of another kind.
         """
@@ -226,7 +228,7 @@ def correlate_adjoint(filters: Float[Array, "C k k"], field: Float[Array, "C H W
 def _within(filters: Float[Array, "C k k"], wide: Float[Array, "_ _"]) -> Float[Array, "C h w"]:
     """A picture correlated with each filter, where the filter lies within the picture."""
     count, side, _ = filters.shape
-    seen = windows(side, wide)
+    seen = _windows(side, wide)
     # As one product of matrices: a convolution of one picture with many filters takes a CPU longer.
     field = filters.astype(wide.dtype).reshape(count, -1) @ seen.reshape(side * side, -1)
     return field.reshape(count, *seen.shape[1:])
@@ -246,7 +248,7 @@ def _within_adjoint(filters: Float[Array, "C k k"], field: Float[Array, "C h w"]
     )
 
 
-def windows(side: int, wide: Float[Array, "_ _"]) -> Float[Array, "kk h w"]:
+def _windows(side: int, wide: Float[Array, "_ _"]) -> Float[Array, "kk h w"]:
     """What a filter of this side sees at each place where it lies within a picture: a plane for each of its pixels."""
     height, width = (length - side + 1 for length in wide.shape)
     return jnp.stack(

@@ -1,6 +1,7 @@
 """Priors of the form Ψ(X) = φ(K X): what they offer to splitting methods, and their proximal step by a dual method."""
 
 import abc
+import math
 from collections.abc import Callable
 from typing import ClassVar, Generic
 
@@ -14,9 +15,12 @@ from scsr_opt.priors.bands import by_bands
 from scsr_opt.priors.checks import divisible
 from scsr_opt.priors.prior import Prior, State
 
-# A loop over unrolled parts writes its carry to memory once more each time round: unrolled as a whole where that is
-# short.
-_UNROLL = 10
+# Dual steps of a cycle, at most, and the smallest eigenvalue that their lengths are made for, as a share of the
+# largest. At 0.1 long steps and the projections that follow them kept each other going (docs/measurements.md).
+_CYCLE, _SMALLEST = 5, 0.2
+
+# A loop over cycles writes its carry to memory once more each time round: unrolled as a whole where that is short.
+_UNROLL = 2
 
 
 class Analysis(Prior[State], Generic[State]):
@@ -28,12 +32,17 @@ class Analysis(Prior[State], Generic[State]):
 
         prox(f) = argmin over X of ½‖X − f‖² + λφ(K X) = f − λK*p,   p = argmin of ½‖f − λK*p‖² + λφ*(p)
 
-    is found by `iterations` steps of the fast gradient projection (FGP) on p, of size 1/(λ²‖K‖²) (Beck and Teboulle,
-    2009, "Fast gradient-based algorithms for constrained total variation image denoising and deblurring"). The dual
-    objective is within 2‖K‖²λ²‖p₀ − p‖²/(k+1)² of its optimum after k steps from p₀. So a step from a p₀ of a similar
-    problem, the last proximal step of an outer iteration for example, needs few: hand the returned state to the next
-    call. Five to ten are then enough; two leave FISTA 0.2 % above the optimum. For a single step from `initial_state`
-    use 100 or more, and `gap` to see how far it got.
+    is found by `iterations` projected gradient steps on p. Their lengths, in units of 1/(λ²‖K‖²), are one over the
+    zeros of the Chebyshev polynomial on [0.2, 1], small and large in turns: on a quadratic no k lengths shrink all that
+    has these eigenvalues further than the k of a cycle. From one cycle of up to five to the next goes the momentum of
+    the fast gradient projection, for what has smaller ones (FGP; Beck and Teboulle, 2009, "Fast gradient-based
+    algorithms for constrained total variation image denoising and deblurring"). FGP itself, steps of 1 with momentum
+    from each to the next, has a proof that long steps with projections between them have not, and needs 1.2 to 1.7
+    times the outer iterations (docs/measurements.md).
+
+    A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: hand the
+    returned state to the next call. Four to ten are then enough. For a single one from `initial_state` use 100 or more,
+    and `gap` to see how far it got.
 
     **Fields:** `iterations`: dual steps in each proximal step, ≥ 1.
     """
@@ -102,7 +111,8 @@ class Analysis(Prior[State], Generic[State]):
         if self.reach is None:
             return work(image, state)
         # A dual step looks as far as K and K* do, and so does the picture that is made at the end.
-        return by_bands(work, image, state, (self.iterations + 1) * self.reach)
+        cycles, lengths = _cycles(self.iterations)
+        return by_bands(work, image, state, (cycles * len(lengths) + 1) * self.reach)
 
     def prox_within(
         self,
@@ -117,22 +127,26 @@ class Analysis(Prior[State], Generic[State]):
         Teboulle, 2009, §4). The result is within the set after any number of steps.
         """
         off, strength = divisible(strength, image.dtype)
-        step = 1 / (self.norm_squared * strength)
+        whole_step = 1 / (self.norm_squared * strength)
+        cycles, lengths = _cycles(self.iterations)
+
+        def cycle(dual: State) -> State:
+            for length in lengths:
+                step = length * whole_step
+                field = self.analysis(nearest(image - strength * self.adjoint(dual)))
+                moved = jax.tree.map(lambda p, z, step=step: p + step * z, dual, field)
+                dual = self.conjugate_prox(moved, step)
+            return dual
 
         def ascend(carry: tuple[State, State], momentum: Array) -> tuple[tuple[State, State], None]:
             dual, ahead = carry
-            field = self.analysis(nearest(image - strength * self.adjoint(ahead)))
-            moved = self.conjugate_prox(jax.tree.map(lambda p, z: p + step * z, ahead, field), step)
+            moved = cycle(ahead)
             ahead = jax.tree.map(lambda new, old: new + momentum * (new - old), moved, dual)
             return (moved, ahead), None
 
-        # Unrolled, the first picture of an iteration is computed in one pass with the last of the one before: 5
-        # iterations at 1000×1600 in 22 ms instead of 40 (two cores); an unrolled loop of 5 twice over takes 64 ms.
+        # Unrolled, the first picture of a cycle is computed in one pass with the last of the one before.
         (dual, _), _ = jax.lax.scan(
-            ascend,
-            (state, state),
-            _momenta(self.iterations, image.dtype),
-            unroll=self.iterations if self.iterations <= _UNROLL else 2,
+            ascend, (state, state), _momenta(cycles, image.dtype), unroll=cycles if cycles <= _UNROLL else 1
         )
         result = image - strength * self.adjoint(dual)
         dual = jax.tree.map(lambda old, new: jnp.where(off, old, new), state, dual)
@@ -152,6 +166,15 @@ class Analysis(Prior[State], Generic[State]):
         products = sum(jax.tree.leaves(jax.tree.map(lambda z, p: z * p, field, state)))
         # Summed last: term by term little is lost to cancellation.
         return strength * jnp.sum(self.penalties(field) + self.conjugates(state) - products)
+
+
+def _cycles(iterations: int) -> tuple[int, list[float]]:
+    """How many cycles make at least so many dual steps, and the lengths of their steps, in units of 1/(λ²‖K‖²)."""
+    cycles = -(-iterations // _CYCLE)
+    number = -(-iterations // cycles)
+    angles = [math.pi * (2 * k + 1) / (2 * number) for k in range(number)]
+    rising = [2 / (1 + _SMALLEST + (1 - _SMALLEST) * math.cos(angle)) for angle in angles]
+    return cycles, [rising[k // 2] if k % 2 == 0 else rising[-1 - k // 2] for k in range(number)]
 
 
 def _momenta(iterations: int, dtype: DTypeLike) -> Float[Array, " n"]:

@@ -35,7 +35,7 @@ class HuberTotalVariation(Analysis[Dual]):
     knee: float = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
-    def __init__(self, knee: float | int = 0.02, iterations: int = 5):
+    def __init__(self, knee: float | int = 0.02, iterations: int = 4):
         self.knee = positive("HuberTotalVariation", "the knee", knee)
         self.iterations = whole("HuberTotalVariation", iterations, "iterations")
 

@@ -45,7 +45,7 @@ class TotalVariation(Analysis[Dual]):
     isotropic: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
-    def __init__(self, isotropic: bool = True, iterations: int = 5):
+    def __init__(self, isotropic: bool = True, iterations: int = 4):
         self.isotropic = bool(isotropic)
         self.iterations = whole("TotalVariation", iterations, "iterations")
 

@@ -38,7 +38,7 @@ class WaveletL1(Analysis[Array]):
     levels: int = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
 
-    def __init__(self, levels: int = 2, iterations: int = 10):
+    def __init__(self, levels: int = 2, iterations: int = 5):
         self.levels = whole("WaveletL1", levels, "levels")
         self.iterations = whole("WaveletL1", iterations, "iterations")
 

@@ -22,6 +22,7 @@ from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place
 from scsr_opt.priors import Dual, HuberTotalVariation
+from scsr_opt.priors.analysis import dual_cycles
 from scsr_opt.priors.total_variation import gradient, gradient_adjoint, to_unit_ball
 from scsr_opt.progress import Progress
 from scsr_opt.solvers import FISTA, Problem, Solver
@@ -83,16 +84,14 @@ def plain_iteration(problem: Problem, state: ProximalGradientState) -> tuple[Pro
 
 def _plain_prox(prior: HuberTotalVariation, image: Array, strength: Array, state: Dual) -> tuple[Array, Dual]:
     """The dual steps of `Analysis.prox`, one operator after the other."""
-    step = 1 / (prior.norm_squared * strength)
-    dual, ahead, t = state, state, 1.0
-    for _ in range(prior.iterations):
-        following = (1 + (1 + 4 * t**2) ** 0.5) / 2
-        field = _gradient(_ahead_by(-strength, image, _gradient_adjoint(ahead)))
-        moved = Dual(*(_ahead_by(step, p, z) for p, z in zip(ahead, field, strict=True)))
-        moved = _ball(_shorter(moved, 1 + step * prior.knee))
-        push = jnp.float32((t - 1) / following)
-        ahead = Dual(*(_ahead_by(push, new, _minus(new, old)) for new, old in zip(moved, dual, strict=True)))
-        dual, t = moved, following
+    cycles, lengths = dual_cycles(prior.iterations)
+    assert cycles == 1  # no momentum, then
+    dual = state
+    for length in lengths:
+        step = length / (prior.norm_squared * strength)
+        field = _gradient(_ahead_by(-strength, image, _gradient_adjoint(dual)))
+        moved = Dual(*(_ahead_by(step, p, z) for p, z in zip(dual, field, strict=True)))
+        dual = _ball(_shorter(moved, 1 + step * prior.knee))
     return _ahead_by(-strength, image, _gradient_adjoint(dual)), dual
 
 

@@ -53,8 +53,8 @@ def kernels(shape: tuple[int, int], accumulated: tuple[int, int, int, int]) -> d
     # Sliding sums of s rows, then of s columns, then 1/s²; nine products and eight sums; f: two products, two sums.
     slide, stencil = 2 * (SCALE - 1) + 1, 17
     slope = 2 * slide + stencil + 5
-    # A dual step: K*p 3, the picture 2, K 2, p + step·z 4, shorter 2, unit ball 7, extrapolation 6. Then the picture.
-    dual_steps, passes = 26 * steps + 5, 9 * steps + 4
+    # A dual step: K*p 3, the picture 2, K 2, p + step·z 4, shorter 2, unit ball 7. Then the picture.
+    dual_steps, passes = 20 * steps + 5, 5 * steps + 4
     # FISTA: R (reads 2, writes 1), the proximal step, f and ∇f, λΨ (reads 3), extrapolation of picture and gradient
     # (reads 6, writes 2).
     iteration = 3 + passes + 8 + 3 + 8

@@ -111,7 +111,7 @@ class Analysis(Prior[State], Generic[State]):
         if self.reach is None:
             return work(image, state)
         # A dual step looks as far as K and K* do, and so does the picture that is made at the end.
-        cycles, lengths = _cycles(self.iterations)
+        cycles, lengths = dual_cycles(self.iterations)
         return by_bands(work, image, state, (cycles * len(lengths) + 1) * self.reach)
 
     def prox_within(
@@ -128,7 +128,7 @@ class Analysis(Prior[State], Generic[State]):
         """
         off, strength = divisible(strength, image.dtype)
         whole_step = 1 / (self.norm_squared * strength)
-        cycles, lengths = _cycles(self.iterations)
+        cycles, lengths = dual_cycles(self.iterations)
 
         def cycle(dual: State) -> State:
             for length in lengths:
@@ -168,7 +168,7 @@ class Analysis(Prior[State], Generic[State]):
         return strength * jnp.sum(self.penalties(field) + self.conjugates(state) - products)
 
 
-def _cycles(iterations: int) -> tuple[int, list[float]]:
+def dual_cycles(iterations: int) -> tuple[int, list[float]]:
     """How many cycles make at least so many dual steps, and the lengths of their steps, in units of 1/(λ²‖K‖²)."""
     cycles = -(-iterations // _CYCLE)
     number = -(-iterations // cycles)

@@ -37,14 +37,14 @@ class Analysis(Prior[State], Generic[State]):
     has these eigenvalues further than the k of a cycle. From one cycle of up to five to the next goes the momentum of
     the fast gradient projection, for what has smaller ones (FGP; Beck and Teboulle, 2009, "Fast gradient-based
     algorithms for constrained total variation image denoising and deblurring"). FGP itself, steps of 1 with momentum
-    from each to the next, has a proof that long steps with projections between them have not, and needs 1.2 to 1.7
-    times the outer iterations (docs/measurements.md).
+    from each to the next, has a proof that long steps with projections between them have not; five of its steps left
+    up to half as many outer iterations more than four of these (docs/measurements.md).
 
     A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: hand the
     returned state to the next call. Four to ten are then enough. For a single one from `initial_state` use 100 or more,
     and `gap` to see how far it got.
 
-    **Fields:** `iterations`: dual steps in each proximal step, ≥ 1.
+    **Fields:** `iterations`: dual steps in each proximal step, ≥ 1; made up to whole cycles of the same length.
     """
 
     iterations: eqx.AbstractVar[int]

@@ -75,8 +75,8 @@ def case() -> Case:
     velocity = np.broadcast_to(np.array(VELOCITY, np.float32)[:, None, None], (2, *SENSOR))
     path = trajectory_of(Motion.of_velocity(velocity), key=KEY, start=0, stop=2 * KEY)
     term = accumulate(place(jax.tree.map(jnp.asarray, samples), path, scale=SCALE, shape=SHAPE))
-    # What is proven of a method holds for exact proximal steps. In float64 ISTA's objective rises by up to 4e-5 with ten
-    # dual steps in each, by 8e-9 with forty: below what the rounding of float32 does.
+    # What is proven of a method holds for exact proximal steps. In float64 ISTA's objective rises by up to 4e-5 where
+    # each has ten dual steps, by 8e-9 where it has forty: less than by the rounding of float32.
     problem = Problem(term, TotalVariation(iterations=40), jnp.float32(STRENGTH))
     return Case(matrix, weight.astype(float), value.astype(float), problem, jnp.full(SHAPE, 0.5))
 

@@ -66,6 +66,24 @@ def test_errors_of_the_picture_are_not_taken_for_gains():
     assert np.std(gain) < 0.006  # the raw ratios spread by 0.02
 
 
+def test_a_picture_that_is_far_wrong_in_places_hides_no_gains_elsewhere():
+    """A fifth of the pixels is predicted 30 % too bright in one half of the time, too dark in the other."""
+    rng = np.random.default_rng(7)
+    wrong = rng.random((60, 60)) < 0.2
+    tilt = rng.choice([-0.3, 0.3], (60, 60))
+    for fixed_pattern in (0.06, 0.0):
+        made, samples, predicted = seen_in_passing(fixed_pattern)
+        late = np.where(samples.start + samples.stop > 101, 1, -1)
+        factor = 1 + late * (wrong * tilt)[samples.row, samples.column]
+        gain = blind_gain(samples, (predicted * factor).astype(np.float32), moved=np.full((60, 60), 8.6), white_rate=0.6)
+        if fixed_pattern:
+            error = gain / np.median(gain) - made.gain / np.median(made.gain)
+            assert np.std(error[~wrong]) < 0.015  # as with a picture that is right everywhere
+            assert np.std(gain[wrong] - 1) < 0.02  # these have not moved far from 1
+        else:
+            assert np.std(gain) < 0.003
+
+
 def test_where_nothing_moves_gains_are_left_alone():
     _, samples, predicted = seen_in_passing(0.06)
     moved = np.where(np.arange(60) < 30, 0.0, 8.6) * np.ones((60, 1))

@@ -75,7 +75,8 @@ def test_a_picture_that_is_far_wrong_in_places_hides_no_gains_elsewhere():
         made, samples, predicted = seen_in_passing(fixed_pattern)
         late = np.where(samples.start + samples.stop > 101, 1, -1)
         factor = 1 + late * (wrong * tilt)[samples.row, samples.column]
-        gain = blind_gain(samples, (predicted * factor).astype(np.float32), moved=np.full((60, 60), 8.6), white_rate=0.6)
+        said = (predicted * factor).astype(np.float32)
+        gain = blind_gain(samples, said, moved=np.full((60, 60), 8.6), white_rate=0.6)
         if fixed_pattern:
             error = gain / np.median(gain) - made.gain / np.median(made.gain)
             assert np.std(error[~wrong]) < 0.015  # as with a picture that is right everywhere

@@ -121,11 +121,11 @@ def blind_gain(
     A pixel's raw gain is Σ ω Y / Σ ω P, measured and predicted light, each with one spike's light added: a pixel that
     hardly fired stays near 1. Part of its deviation from 1 is not gain but what is wrong with the picture. That part is
     not the same in the first and in the second half of a pixel's samples, in which it sees different places: with a and
-    b those of the halves, gains spread by the root of cov(a, b) = (var(a + b) − var(a − b)) / 4, and errors of their
-    mean by that of var(a − b) / 4. Both variances are robust ones, from the median of absolute deviations (Gnanadesikan
-    and Kettenring, 1972, "Robust estimates, residuals, and outlier detection with multiresponse data"), as the picture
-    is far more wrong at some pixels than at most. What is kept of a deviation is gain² / (gain² + error²), the error
-    being that of most pixels or (a − b) / 2, the larger.
+    b the deviations of the halves, gains spread by the root of cov(a, b) = (var(a + b) − var(a − b)) / 4, and errors of
+    their mean by that of var(a − b) / 4. Both variances are robust ones, from the median of absolute deviations
+    (Gnanadesikan and Kettenring, 1972, "Robust estimates, residuals, and outlier detection with multiresponse data"),
+    as the picture is far more wrong at some pixels than at most. What is kept of a deviation is gain² / (gain² +
+    error²), the error being that of most pixels or (a − b) / 2, the larger. Where the halves do not agree, nothing is.
 
     Use it in turns: picture from `with_gain(samples, gain)`, then gain from that picture; one turn gets most, two all.
     Always hand in the samples as measured.
@@ -166,14 +166,14 @@ def blind_gain(
     first = ratio(*first_half)
     second = ratio(*(every - early for every, early in zip(light, first_half, strict=True)))
     differs = (first - second) / 2
-    error = _robust_variance(differs[seen])
-    variance = max(_robust_variance(((first + second) / 2)[seen]) - error, 0.0)
-    if variance == 0:
+    of_errors = _robust_variance(differs[seen])
+    of_gains = max(_robust_variance(((first + second) / 2)[seen]) - of_errors, 0.0)
+    if of_gains == 0:
         return np.ones(shape, np.float32)
-    kept = variance / (variance + np.maximum(error, differs**2))
+    kept = of_gains / (of_gains + np.maximum(of_errors, differs**2))
     return np.clip(1 + kept * ratio(*light), *_RANGE).astype(np.float32)
 
 
 def _robust_variance(values: Float[np.ndarray, " n"]) -> float:
-    """That of a normal distribution of the same median of absolute deviations."""
+    """That of a normal distribution with the same median of absolute deviations."""
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) ** 2

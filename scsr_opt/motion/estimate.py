@@ -134,12 +134,14 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     def predicts(motion: Motion) -> Missed:
         return missed(part, motion, noise).part(*judged)
 
+    by_pixel = predicts(everywhere)
     candidates = [(motion, predicts(motion)) for motion in layered(part, before, everywhere, unexplained[used], total)]
-    motion, miss = min(candidates, key=lambda one: one[1].mean)
-    if motion.layers is not None:
-        by_pixel = predicts(everywhere)
-        if not _serve(motion.layers.label[judged], miss, by_pixel, total):
-            motion, miss = everywhere, by_pixel
+    serving = [
+        (motion, miss)
+        for motion, miss in candidates
+        if motion.layers is None or _serve(motion.layers.label[judged], miss, by_pixel, total)
+    ]
+    motion, miss = min(serving or [(everywhere, by_pixel)], key=lambda one: one[1].mean)
     # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing.
     helps = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()
     enough = 1.0 if unexplained.mean() >= _MUCH else _PREDICTS

@@ -27,6 +27,8 @@ _MOST = 3
 _FEWEST_PIXELS = 40
 # Velocities that a region is tried with; those nearer than this (sensor pixels per frame) are alike.
 _COMMON, _ALIKE = 3, 0.02
+# Candidates that so many times as many pixels contradict, or fewer, serve a region as well.
+_ABOUT = 1.1
 # Sensor pixels from the edge of a layer that show something of the next.
 _EDGE = 3
 # Presmoothing (sensor pixels) of the pictures whose agreement decides about labels, and of the mismatch itself: small,
@@ -128,9 +130,9 @@ def _find(
 ) -> list[Motion]:
     """The candidates: the largest region that contradicts all so far is given a motion of its own, again and again."""
     motions = [background]
-    left = unexplained = moving
+    tried, unexplained = np.zeros_like(moving), moving
     for _ in range(_MOST):
-        regions, number = cast(tuple[np.ndarray, int], ndimage.label(ndimage.binary_opening(left)))
+        regions, number = _regions(unexplained & ~tried)
         if number == 0:
             break
         sizes = np.bincount(regions.ravel())[1:]
@@ -138,18 +140,27 @@ def _find(
         if sizes.max() < _FEWEST_PIXELS:
             break
         # The region holds what the surface uncovers, too, and in dim light a fit to the pictures may go astray. Of what
-        # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
+        # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with; of
+        # those with which about as many do, what was fitted, which comes first.
         fits = _candidates(pictures, everywhere, region)
         wrong = [contradicted(pictures, fit) | (fit.speed > fastest) for fit in fits]
-        best = int(np.argmin([(region & against).sum() for against in wrong]))
+        against = np.array([(region & here).sum() for here in wrong])
+        best = int(np.argmax(against <= _ABOUT * against.min()))
         explained = region & ~wrong[best]
         if explained.sum() > 0.3 * region.sum():
             motions.append(fits[best])
-            left, unexplained = left & ~explained, unexplained & wrong[best]
-        left = left & ~region
+            unexplained = unexplained & wrong[best]
+        tried = tried | region
     if len(motions) == 1 or unexplained.sum() > 0.01 * total:
         motions.append(everywhere)
     return motions
+
+
+def _regions(mask: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, "h w"], int]:
+    """The parts of a mask without its single pixels, numbered from 1; what is near counts as one."""
+    some = ndimage.binary_opening(mask)
+    wide = cast(np.ndarray, ndimage.binary_closing(np.pad(some, _EDGE), iterations=_EDGE))
+    return cast(tuple[np.ndarray, int], ndimage.label(wide[_EDGE:-_EDGE, _EDGE:-_EDGE]))
 
 
 def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
@@ -172,7 +183,8 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
 def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
     """Motions that a region may have."""
     commonest = _commonest(everywhere, region)
-    return [*commonest, parametric(pictures, start=commonest[0], where=region), _affine(everywhere, region)]
+    starts = commonest[0], _affine(everywhere, region)
+    return [*(parametric(pictures, start=start, where=region) for start in starts), *commonest]
 
 
 def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:

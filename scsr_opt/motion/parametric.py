@@ -63,18 +63,21 @@ def parametric(
     Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
     occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
     perspective motion, twice that with the acceleration that is fitted last; each of these only where the recording
-    asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity (its mean is used).
-    With `where`, only these pixels of the key frame are looked at, and perspective, for which a region is too small,
-    is left out; the motion is still given everywhere.
+    asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity: its mean, or where
+    it varies the affine one nearest to it. With `where`, only these pixels of the key frame are looked at, and
+    perspective, for which a region is too small, is left out; the motion is still given everywhere.
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where)
     numbers = np.zeros((2, _GENERATORS), np.float32)
-    if start is not None:
-        known = start.velocity if where is None else start.velocity[:, where]
-        numbers[0, _SHIFTS] = known.reshape(2, -1).mean(1)
     active = np.zeros((2, _GENERATORS), bool)
     active[0, _SHIFTS] = True
+    fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)
+    if start is not None:
+        here = np.ones((height, width), bool) if where is None else where
+        known, basis = start.velocity[:, here].reshape(2, -1), fields[:, :, here].reshape(_GENERATORS, -1)
+        active[0, _LINEAR] = affine and np.ptp(known, axis=1).any()
+        numbers[0, active[0]] = np.linalg.lstsq(basis[active[0]].T, known.ravel(), rcond=None)[0]
     schedule, majority = (_SCHEDULE, 0.5) if where is None else (_SCHEDULE[1:], _MINORITY)
     after = np.asarray(pictures.after)
     for reach, sigma, steps in schedule:
@@ -110,7 +113,6 @@ def parametric(
         if last and after.size >= 4 and _asked_for(votes, active, (1, active[0])):
             active[1] = active[0]
             numbers, votes = fit(numbers, active)
-    fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)
     velocity, acceleration = np.einsum("op,pchw->ochw", numbers, fields)
     return Motion(velocity, acceleration, np.ones((height, width), np.float32))
 

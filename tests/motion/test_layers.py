@@ -81,6 +81,16 @@ def test_a_plain_part_moves_with_what_surrounds_it():
     np.testing.assert_array_equal(layers._joined(hole, mismatch), hole)
 
 
+def test_regions_near_each_other_are_of_one_surface():
+    mask = np.zeros((30, 60), bool)
+    mask[10:20, 5:15] = mask[10:20, 19:30] = mask[10:20, 45:55] = True
+    mask[2, 40] = True  # a single pixel may be wrong
+    region, number = layers._regions(mask)
+    assert number == 2
+    assert region[15, 10] == region[15, 25] == region[15, 17] != region[15, 50]
+    assert region[2, 40] == region[15, 37] == 0
+
+
 def test_each_pixel_of_the_key_frame_sees_itself_then():
     position, visible = seen_at(before_a_background((0, 1)), KEY)
     np.testing.assert_allclose(position, np.mgrid[0:30, 0:40], atol=1e-5)

@@ -117,6 +117,17 @@ def test_a_region_has_a_motion_of_its_own():
     assert np.abs(found.velocity[:, region] - moving[:, region]).max() < 0.015
 
 
+def test_the_start_may_vary_over_the_picture():
+    plain = Stretches(jnp.full((17, HEIGHT, WIDTH), 0.5, jnp.float32), jnp.asarray(AFTER))  # says nothing else
+    turning = 0.01 * (fields()[3] - fields()[4]) + 0.02 * fields()[0]
+    region = np.zeros((HEIGHT, WIDTH), bool)
+    region[15:45, 25:50] = True
+    found = parametric(plain, where=region, start=module.Motion.of_velocity(turning))
+    np.testing.assert_allclose(found.velocity, turning, atol=1e-6)
+    found = parametric(plain, start=module.Motion.of_velocity(turning), affine=False)
+    np.testing.assert_allclose(found.velocity, 0.02 * fields()[0], atol=1e-6)  # the mean
+
+
 def test_compiled_once_for_all_models_and_regions_of_a_size():
     pictures = drawn(np.full((2, HEIGHT, WIDTH), 0.05))
     parametric(pictures)

@@ -13,6 +13,7 @@ from benchmarks.bench_published import OURS, PUBLISHED, SETS, mean
 from benchmarks.bench_scaling import PARTS
 from benchmarks.bench_solvers import DEFAULT_SOLVER
 from benchmarks.bench_timing import Spread, ratios, spread
+from benchmarks.bench_whole import beats
 from benchmarks.choosing_page import MARKS, check_page, table
 from scsr_opt.report import whole_file
 
@@ -116,7 +117,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
         "PSNR, dB",
         "SSIM",
         "seconds (quartiles)",
-        "time of the default over its",
+        "time over the default's",
         "memory, MB",
         "on the front",
     ]
@@ -126,16 +127,14 @@ def _whole(found: dict[str, Any]) -> list[str]:
         over = ", ".join(
             f"`{row['method']}` ({np.mean(row['psnr']):.2f} dB, {np.median(row['seconds']):.2f} s)"
             for row in rows
-            if row is not usual
-            and np.mean(row["psnr"]) >= np.mean(usual["psnr"])
-            and np.median(row["seconds"]) <= np.median(usual["seconds"])
+            if beats(row, usual)
         )
         said = f"**{case}** ({'; '.join(usual['recordings'])}): the default {verdict} on the front"
-        parts.append(said + (f"; at least as good and as fast: {over}." if over else "."))
+        parts.append(said + (f", beaten by {over}." if over else "."))
         lines = []
         for row in sorted(rows, key=lambda row: -np.mean(row["psnr"])):
             times = spread(np.ravel(row["seconds"]))
-            ratio = spread(np.ravel(usual["seconds"]) / np.ravel(row["seconds"]))
+            ratio = ratios(np.ravel(row["seconds"]), np.ravel(usual["seconds"]))
             name = f"**`{row['method']}`**, the default" if row is usual else f"`{row['method']}`"
             lines.append(
                 [name, f"{np.mean(row['psnr']):.2f}", f"{np.mean(row['ssim']):.3f}",

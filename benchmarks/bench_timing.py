@@ -44,7 +44,7 @@ def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, l
     return taken
 
 
-def ratios(some: list[float], others: list[float]) -> Spread:
+def ratios(some: Any, others: Any) -> Spread:
     """`some` over `others`, round by round, so that a slow moment of the machine is in both."""
     return spread(np.asarray(some) / np.asarray(others))
 

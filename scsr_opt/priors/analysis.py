@@ -127,15 +127,17 @@ class Analysis(Prior[State], Generic[State]):
         Teboulle, 2009, §4). The result is within the set after any number of steps.
         """
         off, strength = divisible(strength, image.dtype)
-        whole_step = 1 / (self.norm_squared * strength)
+        # Known when compiling, it would not be divided by (see below), but multiplied with its reciprocal.
+        bound = jax.lax.optimization_barrier(self.norm_squared * strength)
         cycles, lengths = dual_cycles(self.iterations)
 
         def cycle(dual: State) -> State:
             for length in lengths:
-                step = length * whole_step
-                field = self.analysis(nearest(image - strength * self.adjoint(dual)))
-                moved = jax.tree.map(lambda p, z, step=step: p + step * z, dual, field)
-                dual = self.conjugate_prox(moved, step)
+                # Divided as a picture, not as a field: XLA writes the result of a division to memory once, where it
+                # would compute sums anew for each neighbour that reads them or copy them for each.
+                field = self.analysis(nearest(image - strength * self.adjoint(dual)) / bound)
+                moved = jax.tree.map(lambda p, z, length=length: p + length * z, dual, field)
+                dual = self.conjugate_prox(moved, length / bound)
             return dual
 
         def ascend(carry: tuple[State, State], momentum: Array) -> tuple[tuple[State, State], None]:

@@ -62,5 +62,5 @@ class HuberTotalVariation(Analysis[Dual]):
 
     def conjugate_prox(self, field: Dual, step: Float[Array, ""]) -> Dual:
         """The field shortened by 1 + step·δ, then the nearest one within the unit ball at each pixel."""
-        shorter = 1 / (1 + step * self.knee)
-        return to_unit_ball(Dual(field.down * shorter, field.right * shorter))
+        longer = 1 + step * self.knee
+        return to_unit_ball(Dual(field.down / longer, field.right / longer))

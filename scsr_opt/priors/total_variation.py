@@ -92,12 +92,8 @@ def to_unit_ball(field: Dual) -> Dual:
 
 def gradient(image: Float[Array, "H W"]) -> Dual:
     """∇: forward differences, 0 past the last row and column."""
-    # Repeating the last row and column makes the differences past them zero. Each is repeated by itself: to repeat both
-    # at once costs one more array (5 dual steps at 1000×1600: 10.4 ms instead of 12), `jnp.diff` with a concatenation
-    # far more.
-    below = jnp.pad(image, ((0, 1), (0, 0)), mode="edge")[1:]
-    beside = jnp.pad(image, ((0, 0), (0, 1)), mode="edge")[:, 1:]
-    return Dual(below - image, beside - image)
+    down, right = image[1:] - image[:-1], image[:, 1:] - image[:, :-1]
+    return Dual(jnp.pad(down, ((0, 1), (0, 0))), jnp.pad(right, ((0, 0), (0, 1))))
 
 
 def gradient_adjoint(dual: Dual) -> Float[Array, "H W"]:

@@ -1,7 +1,7 @@
 """Two statements with a benchmark of their own: what fusing an iteration is worth, and what M and c cost.
 
 `plain_iteration` is one iteration of the default solver with the default prior as it would be written without thinking
-of memory: each operator is compiled on its own, and nothing is fused across them. It is the same arithmetic and gives
+of memory: each operator is compiled on its own, and nothing is fused across them. These are the same steps and give
 the same numbers (`tests/benchmarks/test_bench.py`).
 """
 

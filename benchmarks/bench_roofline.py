@@ -1,7 +1,7 @@
 """How far is each kernel from what memory allows?
 
 A kernel has to read each of its inputs once and to write each of its outputs once; an iterated one does so in every
-pass (a dual step reads the picture and four fields, and writes four). These bytes and the operations are counted by
+pass (a dual step reads the picture and two fields, and writes two). These bytes and the operations are counted by
 hand here, beside what XLA counts for the compiled program, which includes what is read twice and intermediate results.
 The limit is a copy in the same run, of arrays that are together as large as all that the kernel touches: a working set
 in the processor's cache is copied faster than one in memory. The kernel's bytes at the copy's bandwidth are the least
@@ -53,8 +53,8 @@ def kernels(shape: tuple[int, int], accumulated: tuple[int, int, int, int]) -> d
     # Sliding sums of s rows, then of s columns, then 1/s²; nine products and eight sums; f: two products, two sums.
     slide, stencil = 2 * (SCALE - 1) + 1, 17
     slope = 2 * slide + stencil + 5
-    # A dual step: K*p 3, the picture 2, K 2, p + step·z 4, shorter 2, unit ball 7. Then the picture.
-    dual_steps, passes = 20 * steps + 5, 5 * steps + 4
+    # A dual step: K*p 3, the picture 2, over bound 1, K 2, p + length·z 4, shorter 2, unit ball 7. Last the picture.
+    dual_steps, passes = 21 * steps + 5, 5 * steps + 4
     # FISTA: R (reads 2, writes 1), the proximal step, f and ∇f, λΨ (reads 3), extrapolation of picture and gradient
     # (reads 6, writes 2).
     iteration = 3 + passes + 8 + 3 + 8

@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.bench_cases import Size, quality, recorded, recording_of
 from benchmarks.bench_timing import Peak, in_turns, ratios
+from benchmarks.ladder import USUAL
 from learned.models import Network, model, names
 from scsr_opt import priors, reconstruct, solvers
 from scsr_opt.baselines import BASELINES
@@ -30,7 +31,7 @@ class Method(NamedTuple):
 
 def methods(scale: int, chosen: tuple[str, ...] | None = None) -> list[Method]:
     """All that makes a picture of a recording at this scale, or those of the names."""
-    same = "ridge" if isinstance(default_prior(scale), priors.RidgeRegulariser) else "fista-huber"
+    same = USUAL[type(default_prior(scale))]
 
     def variant(name: str, **options: Any) -> Method:
         def picture(recording: Recording) -> Any:

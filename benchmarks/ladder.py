@@ -23,7 +23,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser, default_prior
 
 # The same as `reconstruct`, which all others are compared with.
-_USUAL = {RidgeRegulariser: "ridge", HuberTotalVariation: "fista-huber"}
+USUAL = {RidgeRegulariser: "ridge", HuberTotalVariation: "fista-huber"}
 # Published for SpikeSR-Net and for Spk2VidNet, on an RTX 3090 and recordings of their own.
 _PUBLISHED = {"SpikeSR-Net (published, RTX 3090)": 1.088, "Spk2VidNet (published, RTX 3090)": 0.043}
 
@@ -49,7 +49,7 @@ def rows(made: Simulation, chosen: list[str], rounds: int) -> list[list[str]]:
             if turn:
                 taken[name].append(time.perf_counter() - begin)
             found[name] = quality(truth, image, made.scale)
-    default = _USUAL[type(default_prior(made.scale))]
+    default = USUAL[type(default_prior(made.scale))]
     usual = median(taken[default]) if default in taken else None
 
     def ratio(seconds: float) -> str:

@@ -136,12 +136,11 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
 
     by_pixel = predicts(everywhere)
     candidates = [(motion, predicts(motion)) for motion in layered(part, before, everywhere, unexplained[used], total)]
-    serving = [
-        (motion, miss)
-        for motion, miss in candidates
-        if motion.layers is None or _serve(motion.layers.label[judged], miss, by_pixel, total)
-    ]
-    motion, miss = min(serving or [(everywhere, by_pixel)], key=lambda one: one[1].mean)
+    layers = [(one.layers, one, miss) for one, miss in candidates if one.layers is not None]
+    serving = [(one, miss) for of, one, miss in layers if _serve(of.label[judged], miss, by_pixel, total)]
+    # Where no layers were found, the background is all that is left of them.
+    otherwise = [(everywhere, by_pixel)] if layers else candidates
+    motion, miss = min(serving or otherwise, key=lambda one: one[1].mean)
     # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing.
     helps = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()
     enough = 1.0 if unexplained.mean() >= _MUCH else _PREDICTS

@@ -27,8 +27,10 @@ _MOST = 3
 _FEWEST_PIXELS = 40
 # Velocities that a region is tried with; those nearer than this (sensor pixels per frame) are alike.
 _COMMON, _ALIKE = 3, 0.02
-# Candidates that so many times as many pixels contradict, or fewer, serve a region as well.
+# A candidate that at most so many times as many pixels contradict as the best one serves a region as well.
 _ABOUT = 1.1
+# Parts no further apart than twice this (sensor pixels) are one region.
+_NEAR = 3
 # Sensor pixels from the edge of a layer that show something of the next.
 _EDGE = 3
 # Presmoothing (sensor pixels) of the pictures whose agreement decides about labels, and of the mismatch itself: small,
@@ -132,16 +134,17 @@ def _find(
     motions = [background]
     tried, unexplained = np.zeros_like(moving), moving
     for _ in range(_MOST):
-        regions, number = _regions(unexplained & ~tried)
+        left = unexplained & ~tried
+        regions, number = _regions(left)
         if number == 0:
             break
-        sizes = np.bincount(regions.ravel())[1:]
-        region = regions == 1 + sizes.argmax()
+        sizes = np.bincount(regions[left].ravel(), minlength=number + 1)[1:]
+        region = (regions == 1 + sizes.argmax()) & ~tried
         if sizes.max() < _FEWEST_PIXELS:
             break
         # The region holds what the surface uncovers, too, and in dim light a fit to the pictures may go astray. Of what
-        # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with; of
-        # those with which about as many do, what was fitted, which comes first.
+        # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
+        # Among candidates about as good as the best the first is taken: fits come before constants.
         fits = _candidates(pictures, everywhere, region)
         wrong = [contradicted(pictures, fit) | (fit.speed > fastest) for fit in fits]
         against = np.array([(region & here).sum() for here in wrong])
@@ -159,8 +162,8 @@ def _find(
 def _regions(mask: Bool[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, "h w"], int]:
     """The parts of a mask without its single pixels, numbered from 1; what is near counts as one."""
     some = ndimage.binary_opening(mask)
-    wide = cast(np.ndarray, ndimage.binary_closing(np.pad(some, _EDGE), iterations=_EDGE))
-    return cast(tuple[np.ndarray, int], ndimage.label(wide[_EDGE:-_EDGE, _EDGE:-_EDGE]))
+    wide = cast(np.ndarray, ndimage.binary_closing(np.pad(some, _NEAR), iterations=_NEAR))  # whole at the edges, too
+    return cast(tuple[np.ndarray, int], ndimage.label(wide[_NEAR:-_NEAR, _NEAR:-_NEAR]))
 
 
 def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
@@ -181,7 +184,7 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
 
 
 def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
-    """Motions that a region may have."""
+    """Motions that a region may have, those first that are preferred where they serve as well."""
     commonest = _commonest(everywhere, region)
     starts = commonest[0], _affine(everywhere, region)
     return [*(parametric(pictures, start=start, where=region) for start in starts), *commonest]
@@ -211,7 +214,7 @@ def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h 
     if inside.sum() < _FEWEST_PIXELS:
         return motion
     found = parametric(pictures, start=motion, where=inside)
-    # Fewer pixels may speak for fewer numbers: the better of the two.
+    # Fewer pixels may tell less: the better of the two.
     before, after = (variance_along(pictures, m)[inside].mean() for m in (motion, found))
     return found if after < before else motion
 

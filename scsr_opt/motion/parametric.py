@@ -2,7 +2,8 @@
 
 The velocity is a sum of generators, fields that are fixed: two shifts, four linear fields (affine motion), and two
 quadratic ones (the generators of a homography: a plane that tilts). The numbers that the recording does not support
-stay 0: a richer model is taken only where it explains more than the noise would (`_asked_for`).
+stay 0: a richer model is taken only where it explains more than the noise would (`_asked_for`), or where a fit starts
+from one.
 """
 
 from typing import NamedTuple
@@ -21,6 +22,9 @@ _SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 12))
 # Steps end when they move nothing by more than this at the farthest moment, in units of the presmoothing (the last ones
 # go on to a tenth of it).
 _SMALL = 0.02
+
+# A start that varies by less than this over pixels and moments (sensor pixels) is a translation.
+_VARIES = 0.1
 
 # In a region that was found by contradicting something, a good part may belong to other surfaces: the motion is that of
 # the share that agrees best, and the start is trusted enough to leave out the nearest times.
@@ -64,8 +68,9 @@ def parametric(
     occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
     perspective motion, twice that with the acceleration that is fitted last; each of these only where the recording
     asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity: its mean, or where
-    it varies the affine one nearest to it. With `where`, only these pixels of the key frame are looked at, and
-    perspective, for which a region is too small, is left out; the motion is still given everywhere.
+    it varies the affine one nearest to it, whose numbers are then all fitted. With `where`, only these pixels of the
+    key frame are looked at, and perspective, for which a region is too small, is left out; the motion is still given
+    everywhere.
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where)
@@ -76,7 +81,8 @@ def parametric(
     if start is not None:
         here = np.ones((height, width), bool) if where is None else where
         known, basis = start.velocity[:, here].reshape(2, -1), fields[:, :, here].reshape(_GENERATORS, -1)
-        active[0, _LINEAR] = affine and np.ptp(known, axis=1).any()
+        varies = float(np.ptp(known, axis=1).max() * np.abs(np.asarray(pictures.after)).max()) if known.size else 0.0
+        active[0, _LINEAR] = affine and varies > _VARIES
         numbers[0, active[0]] = np.linalg.lstsq(basis[active[0]].T, known.ravel(), rcond=None)[0]
     schedule, majority = (_SCHEDULE, 0.5) if where is None else (_SCHEDULE[1:], _MINORITY)
     after = np.asarray(pictures.after)

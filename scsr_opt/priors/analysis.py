@@ -127,14 +127,14 @@ class Analysis(Prior[State], Generic[State]):
         Teboulle, 2009, §4). The result is within the set after any number of steps.
         """
         off, strength = divisible(strength, image.dtype)
-        # Known when compiling, it would not be divided by (see below), but multiplied with its reciprocal.
+        # If XLA knew the bound it would multiply with its reciprocal, which it does not write to memory (see below).
         bound = jax.lax.optimization_barrier(self.norm_squared * strength)
         cycles, lengths = dual_cycles(self.iterations)
 
         def cycle(dual: State) -> State:
             for length in lengths:
-                # Divided as a picture, not as a field: XLA writes the result of a division to memory once, where it
-                # would compute sums anew for each neighbour that reads them or copy them for each.
+                # Divided as a picture, not as a field: on CPUs XLA writes the result of a division to memory once,
+                # where it would compute sums anew for each neighbour that reads them or copy them for each.
                 field = self.analysis(nearest(image - strength * self.adjoint(dual)) / bound)
                 moved = jax.tree.map(lambda p, z, length=length: p + length * z, dual, field)
                 dual = self.conjugate_prox(moved, length / bound)

@@ -62,5 +62,5 @@ class HuberTotalVariation(Analysis[Dual]):
 
     def conjugate_prox(self, field: Dual, step: Float[Array, ""]) -> Dual:
         """The field shortened by 1 + step·δ, then the nearest one within the unit ball at each pixel."""
-        longer = 1 + step * self.knee
+        longer = 1 + step * self.knee  # divided by for the reason in `Analysis.prox_within`
         return to_unit_ball(Dual(field.down / longer, field.right / longer))

@@ -92,6 +92,7 @@ def to_unit_ball(field: Dual) -> Dual:
 
 def gradient(image: Float[Array, "H W"]) -> Dual:
     """∇: forward differences, 0 past the last row and column."""
+    # Fast where the picture is in memory, given, carried by a loop or divided: see `Analysis.prox_within`.
     down, right = image[1:] - image[:-1], image[:, 1:] - image[:, :-1]
     return Dual(jnp.pad(down, ((0, 1), (0, 0))), jnp.pad(right, ((0, 0), (0, 1))))
 

@@ -85,3 +85,27 @@ def test_layers_of_a_part_are_continued_with_the_background(kept):
     # At the key frame each pixel sees itself.
     path = trajectory_of(whole, key=8, start=8, stop=9)
     np.testing.assert_allclose(path.position[0], np.mgrid[0:40, 0:50], atol=1e-5)
+
+
+def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
+    _, pictures = small
+    layered, good = estimate.layered, Automatic()(pictures)
+    assert good.layers is not None
+
+    def found_by(*, with_good: bool = False, with_scattered: bool = True) -> Motion:
+        def candidates(part, before, everywhere, moving, total):
+            label = np.random.default_rng(0).integers(0, 2, moving.shape).astype(np.int32)
+            velocity = np.stack([before.velocity, before.velocity + 0.1])
+            scattered = Layers(velocity, np.zeros_like(velocity), label, np.array([0, 1], np.int32))
+            found = [Motion.of_layers(scattered, everywhere.confidence)] if with_scattered else []
+            return [before, *found, *(layered(part, before, everywhere, moving, total) if with_good else [])]
+
+        monkeypatch.setattr(estimate, "layered", candidates)
+        return Automatic()(pictures)
+
+    np.testing.assert_array_equal(found_by(with_good=True).velocity, good.velocity)
+    monkeypatch.setattr(estimate, "_PREDICTS", 2.0)  # so that it is no matter of how well the dense estimate predicts
+    dense = found_by()
+    assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
+    alone = found_by(with_scattered=False)
+    assert alone.layers is None and not alone.speed.any()

@@ -49,14 +49,16 @@ def programs() -> dict[str, dict[str, float]]:
     data = problem.data
     fista, condat, pixels = FISTA(), solvers.CondatVu(), image.size
     state, other = (first_state(solver, problem, image) for solver in (fista, condat))
-    dual = problem.prior.initial_state(image)
+    priors = {"Huber-TV": HuberTotalVariation(), "bounded": Bounded(HuberTotalVariation())}
     counted = {
         "FISTA, an iteration": program(fused_iteration, fista, problem, state),
         "CondatVu, an iteration": program(fused_iteration, condat, problem, other),
         "f and its gradient": program(lambda f, x: f.value_and_gradient(x), data, image),
         # With a strength that is known when compiling, as users write it.
-        "proximal step, Huber-TV": program(lambda x, p: HuberTotalVariation().prox(x, 1e-3, p), image, dual),
-        "proximal step, bounded": program(lambda x, p: Bounded(HuberTotalVariation()).prox(x, 1e-3, p), image, dual),
+        **{
+            f"proximal step, {name}": program(lambda x, p, of=of: of.prox(x, 1e-3, p), image, of.initial_state(image))
+            for name, of in priors.items()
+        },
     }
     return {
         name: {

@@ -125,7 +125,8 @@ def _whole(found: dict[str, Any]) -> list[str]:
         usual = next(row for row in rows if row["kind"] == "default")
         verdict = "**is**" if usual["front"] else "is **not**"
         over = ", ".join(
-            f"`{row['method']}` ({np.mean(row['psnr']):.2f} dB, {_over(row, usual).middle:.2f} times as long)"
+            f"`{row['method']}` ({np.mean(row['psnr']):.2f} dB, "
+            f"{ratios(row['seconds'], usual['seconds']).middle:.2f} times as long)"
             for row in rows
             if beats(row, usual)
         )
@@ -134,7 +135,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
         lines = []
         for row in sorted(rows, key=lambda row: -np.mean(row["psnr"])):
             times = spread(np.ravel(row["seconds"]))
-            ratio = _over(row, usual)
+            ratio = ratios(row["seconds"], usual["seconds"])
             name = f"**`{row['method']}`**, the default" if row is usual else f"`{row['method']}`"
             lines.append(
                 [name, f"{np.mean(row['psnr']):.2f}", f"{np.mean(row['ssim']):.3f}",
@@ -143,11 +144,6 @@ def _whole(found: dict[str, Any]) -> list[str]:
             )  # fmt: skip
         parts.append(table(head, lines))
     return parts
-
-
-def _over(row: dict[str, Any], usual: dict[str, Any]) -> Spread:
-    """The time of one method over another's, round by round."""
-    return ratios(np.ravel(row["seconds"]), np.ravel(usual["seconds"]))
 
 
 def _scaling(found: dict[str, Any]) -> list[str]:

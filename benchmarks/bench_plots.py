@@ -68,11 +68,11 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
     panels = drawn.subplots(1, 2, width_ratios=(1, 1.2))
     kinds = {row["method"]: row["kind"] for row in rows}
     default = next(row for row in rows if row["kind"] == "default")
-    times = np.ravel(default["seconds"])
+    times = default["seconds"]
     # Along the axis as round by round: the median over different recordings may order two methods otherwise.
     places = {
         row["method"]: (
-            float(np.median(times)) * ratios(np.ravel(row["seconds"]), times).middle, float(np.mean(row["psnr"]))
+            float(np.median(times)) * ratios(row["seconds"], times).middle, float(np.mean(row["psnr"]))
         )
         for row in rows
     }  # fmt: skip

@@ -17,7 +17,7 @@ from scsr_opt.demo import psnr
 from scsr_opt.motion.estimate import given
 from scsr_opt.operators.sampling import DataTerm, accumulate
 from scsr_opt.placing import first_picture, measured, stream_around
-from scsr_opt.priors import HuberTotalVariation
+from scsr_opt.priors import default_prior
 from scsr_opt.solvers import FISTA
 from scsr_opt.strength import validated_strength
 
@@ -38,7 +38,7 @@ class Size(NamedTuple):
       validated and memory is looked at for each solver; both take a compilation more.
     - `sensor`: side of the sensor, pixels, for solvers and whole reconstructions; `rounds` of timing.
     - `exact`: iterations for a minimum. `seconds`: in which a solver has to reach a gap.
-    - `pictures`, `motions`, `lights`: of the whole reconstructions; `repeats` of timing each.
+    - `recordings`, pairs of a still and a motion, and `lights`: of the whole reconstructions; `repeats` of timing each.
     - `frames`: numbers of them on a sensor of `still` pixels a side; `sides` of sensors with `FRAMES` frames.
     - `picture`: (H, W) of the kernels and of the statement about one iteration.
     - `accumulated`: (frames, h, w, scale) of the statement about M and c.
@@ -53,8 +53,7 @@ class Size(NamedTuple):
     rounds: int
     exact: int
     seconds: float
-    pictures: tuple[str, ...]
-    motions: tuple[str, ...]
+    recordings: tuple[tuple[str, str], ...]
     lights: tuple[str, ...]
     repeats: int
     frames: tuple[int, ...]
@@ -66,14 +65,19 @@ class Size(NamedTuple):
 
 FULL = Size(
     scales=(2, 4), solvers=None, priors=None, methods=None, careful=True, sensor=100, rounds=5, exact=500, seconds=1.5,
-    pictures=("camera", "brick", "moon"), motions=("pan", "turn", "object"), lights=("day", "dim"), repeats=1,
+    # Each still and each motion twice: two thirds of all pairs.
+    recordings=(
+        ("camera", "pan"), ("brick", "turn"), ("moon", "object"),
+        ("camera", "object"), ("brick", "pan"), ("moon", "turn"),
+    ),
+    lights=("day", "dim"), repeats=1,
     frames=(20, 60, 200, 600, 2000), still=64, sides=(64, 125, 250, 500, 1000),
     picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
 )  # fmt: skip
 QUICK = Size(
     scales=(2,), solvers=("ISTA", "FISTA", "ADMM", "CondatVu", "LBFGS"), priors=("TV",),
     methods=("reconstruct", "reconstruct, Global motion", "unrolled", "shift_and_add", "tfp_bicubic", "tfp_sr"),
-    careful=False, sensor=40, rounds=5, exact=200, seconds=0.3, pictures=("camera",), motions=("pan",), lights=("day",),
+    careful=False, sensor=40, rounds=5, exact=200, seconds=0.3, recordings=(("camera", "pan"),), lights=("day",),
     repeats=5, frames=(20, 101), still=40, sides=(40, 80), picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
 )  # fmt: skip
 
@@ -125,7 +129,7 @@ def recording_of(made: Simulation) -> Recording:
 
 class Posed(NamedTuple):
     """A recording as the problem of a solver: `term` f of the true motion, `start` X^(0) and `strength` λ as
-    `reconstruct` would take them for Huber-TV, and the `truth`."""
+    `reconstruct` would take them with its prior at this scale, and the `truth`."""
 
     scale: int
     term: DataTerm
@@ -149,7 +153,7 @@ def posed(made: Simulation, measuring: Measuring, *, careful: bool) -> Posed:
             taken,
             start,
             scale=made.scale,
-            prior=HuberTotalVariation(),
+            prior=default_prior(made.scale),
             solver=FISTA(),
             measuring=measuring,
         ).strength

@@ -83,7 +83,9 @@ def _solvers(rows: list[dict[str, Any]]) -> list[str]:
         own = [row for row in rows if row["scale"] == scale]
         height, width = own[0]["shape"]
         usual = _compared(next((row for row in own if row["solver"] == DEFAULT_SOLVER), None))
-        parts.append(f"**×{scale}, {height}×{width}**; λ = {own[0]['strength']:.2g} for Huber-TV.")
+        parts.append(
+            f"**×{scale}, {height}×{width}**; λ = {own[0]['strength']:.2g} for {own[0]['prior']}, the default."
+        )
         for part, title in _PARTS.items():
             some = [row for row in own if row["part"] == part]
             if some:

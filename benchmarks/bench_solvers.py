@@ -26,12 +26,13 @@ from benchmarks.choosing_solvers import Exact, exact
 from benchmarks.stress_methods import SOLVERS
 from scsr_opt import priors, solvers
 from scsr_opt.camera.measuring import Intervals, Measuring, Windows
+from scsr_opt.priors import default_prior
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers import Problem, Solver, run
 
-DEFAULT_SOLVER, DEFAULT_PRIOR = "FISTA", "Huber-TV"
+DEFAULT_SOLVER = "FISTA"
 # Frames that spikes are counted over: about twice the interval of a pixel at half the intensity of white.
 WINDOW = 8
 # Measured by the duality gap while they run, which the others are not: no competitors.
@@ -42,7 +43,7 @@ _MOST_ITERATIONS = 2000
 
 class Entry(NamedTuple):
     """One solver on one problem. **Fields:** `part`: of the design; the names of what is combined; `factor`: λ over
-    that of Huber-TV."""
+    that of the default prior."""
 
     part: str
     solver: str
@@ -52,22 +53,23 @@ class Entry(NamedTuple):
     factor: float = 1.0
 
 
-def design(solvers: tuple[str, ...] | None = None, priors: tuple[str, ...] | None = None) -> list[Entry]:
-    """What is combined with what: all solvers and priors, or those of the names."""
+def design(scale: int, solvers: tuple[str, ...] | None = None, priors: tuple[str, ...] | None = None) -> list[Entry]:
+    """What is combined with what at a scale: all solvers and priors, or those of the names."""
+    usual_prior = prior_name(default_prior(scale))
 
     def wanted(name: str, names: tuple[str, ...] | None) -> bool:
         return names is None or name in names
 
     usual = ("Intervals", "float32")
     competing = [name for name in SOLVERS if name not in _NO_COMPETITORS and wanted(name, solvers)]
-    found = [Entry("solvers", name, DEFAULT_PRIOR, *usual) for name in competing]
+    found = [Entry("solvers", name, usual_prior, *usual) for name in competing]
     for name, _, factor, _ in tried():
-        if name != DEFAULT_PRIOR and wanted(name, priors):
+        if name != usual_prior and wanted(name, priors):
             found.append(Entry("priors", DEFAULT_SOLVER, name, *usual, factor))
     for name in (DEFAULT_SOLVER, "ADMM"):
         if name == DEFAULT_SOLVER or solvers is None:
-            found.append(Entry("data terms", name, DEFAULT_PRIOR, "Windows", "float32"))
-            found.append(Entry("precisions", name, DEFAULT_PRIOR, "Intervals", "float64"))
+            found.append(Entry("data terms", name, usual_prior, "Windows", "float32"))
+            found.append(Entry("precisions", name, usual_prior, "Intervals", "float64"))
     return found
 
 
@@ -78,6 +80,11 @@ def problem_of(entry: Entry, case: Posed) -> Problem:
 
 def prior_of(name: str) -> Prior:
     return next(prior for known, prior, _, _ in tried() if known == name)
+
+
+def prior_name(prior: Prior) -> str:
+    """By which name `prior_of` finds a prior of this kind."""
+    return next(known for known, other, _, _ in tried() if type(other) is type(prior))
 
 
 def measuring_of(name: str) -> Measuring:
@@ -98,7 +105,7 @@ def minimum(problem: Problem, start: Float[Array, "H W"], iterations: int) -> Ex
     if isinstance(problem.prior, Analysis):
         patient = solvers.FISTA(iterations=iterations, tolerance=1e-7, stopping=solvers.DualityGap(-1, 2))
         return exact(problem, start, patient)
-    if not isinstance(problem.prior, priors.TotalGeneralizedVariation | priors.Bounded):
+    if not isinstance(problem.prior, priors.RidgeRegulariser | priors.TotalGeneralizedVariation | priors.Bounded):
         return None
     with jax.enable_x64(True):
         double = _doubled(problem)
@@ -189,10 +196,11 @@ def _prepared(entry: Entry, case: Posed, known: Exact | None, size: Size) -> _Re
 
 def measure(size: Size, seed: int, progress: Progress) -> list[dict[str, Any]]:
     """A row for each entry and scale, ready for JSON."""
-    entries, rows = design(size.solvers, size.priors), []
-    progress.start(len(entries) * len(size.scales), "solvers")
+    designs = {scale: design(scale, size.solvers, size.priors) for scale in size.scales}
+    rows = []
+    progress.start(sum(map(len, designs.values())), "solvers")
     try:
-        for scale in size.scales:
+        for scale, entries in designs.items():
             made = recorded("camera", scale=scale, sensor=size.sensor, seed=seed)
             measurings = dict.fromkeys(entry.measuring for entry in entries)
             cases = {name: posed(made, measuring_of(name), careful=size.careful) for name in measurings}

@@ -1,6 +1,5 @@
 """Whole reconstructions: time against accuracy, for `reconstruct` and its variants, learned models and baselines."""
 
-import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -88,12 +87,12 @@ def measure(size: Size, seed: int, progress: Progress) -> dict[str, list[dict[st
     peak = Peak()
     for scale in size.scales:
         chosen = methods(scale, size.methods)
-        each = len(size.pictures) * len(size.motions) * len(size.lights)
+        each = len(size.recordings) * len(size.lights)
         progress.start(len(chosen) * each, f"whole reconstructions, ×{scale}")
         try:
             for light in size.lights:
                 found[f"×{scale}, {light}"] = rows = [_row(one) for one in chosen]
-                for picture, motion in itertools.product(size.pictures, size.motions):
+                for picture, motion in size.recordings:
                     made = recorded(picture, scale=scale, sensor=size.sensor, motion=motion, light=light, seed=seed)
                     truth, recording, calls = made.truth(len(made.spikes) // 2), recording_of(made), {}
                     for number, (row, one) in enumerate(zip(rows, chosen, strict=True)):

@@ -36,7 +36,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 # Everything once, as small as it goes.
 TINY = bench_cases.Size(
     scales=(2,), solvers=("FISTA",), priors=(), methods=("reconstruct", "tfp_bicubic"), careful=False, sensor=16,
-    rounds=2, exact=60, seconds=0.05, pictures=("camera",), motions=("pan",), lights=("day",), repeats=2,
+    rounds=2, exact=60, seconds=0.05, recordings=(("camera", "pan"),), lights=("day",), repeats=2,
     frames=(), still=16, sides=(16,),
     picture=(48, 64), accumulated=(21, 12, 16, 4),
 )  # fmt: skip
@@ -125,12 +125,17 @@ def test_the_page_is_written_with_its_plots(report, tmp_path):
 
 
 def test_the_design_is_what_the_page_says():
-    entries = bench_solvers.design()
-    assert {e.solver for e in entries if e.part == "solvers"} == {*bench_solvers.SOLVERS} - {"FISTA, duality gap"}
-    assert all(e.prior == "Huber-TV" for e in entries if e.part != "priors")
-    assert {e.prior for e in entries} == {name for name, *_ in bench_solvers.tried()}
-    assert {e.measuring for e in entries} == {"Intervals", "Windows"}
-    assert {e.precision for e in entries} == {"float32", "float64"}
+    for scale, prior in ((2, "ridge"), (4, "Huber-TV")):
+        entries = bench_solvers.design(scale)
+        assert {e.solver for e in entries if e.part == "solvers"} == {*bench_solvers.SOLVERS} - {"FISTA, duality gap"}
+        assert all((e.prior == prior) == (e.part != "priors") for e in entries)
+        assert {e.prior for e in entries} == {name for name, *_ in bench_solvers.tried()}
+        assert {e.measuring for e in entries} == {"Intervals", "Windows"}
+        assert {e.precision for e in entries} == {"float32", "float64"}
+    for size in (bench_cases.FULL, bench_cases.QUICK):
+        assert len(set(size.recordings)) == len(size.recordings)
+    stills, motions = zip(*bench_cases.FULL.recordings, strict=True)
+    assert {stills.count(one) for one in stills} == {motions.count(one) for one in motions} == {2}
     assert bench_cases.FULL.scales == (2, 4)
     assert isinstance(bench_solvers.measuring_of("Windows"), Windows)
     assert isinstance(bench_solvers.measuring_of("Intervals"), Intervals)

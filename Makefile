@@ -66,6 +66,7 @@ peers: $(RUN_STAMP)
 	$(PY) -m benchmarks.peers
 
 choosing: $(RUN_STAMP)
+	@mkdir -p build
 	$(PY) -m benchmarks.choosing --write docs/choosing.md --json build/choosing.json
 
 stress: $(RUN_STAMP)

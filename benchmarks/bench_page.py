@@ -118,7 +118,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
         "method",
         "PSNR, dB",
         "SSIM",
-        "seconds (quartiles)",
+        "seconds (quartiles over the recordings)",
         "time over the default's",
         "memory, MB",
         "on the front",
@@ -203,7 +203,7 @@ def _statements(found: dict[str, Any]) -> list[str]:
     rate = other["samples"] / float(np.median(other["seconds"]["accumulate"])) / _MEGA
     return [
         "### Two statements",
-        f"**One iteration of the default solver at {one['shape'][0]}×{one['shape'][1]}** takes "
+        f"**One iteration of the default solver with Huber-TV at {one['shape'][0]}×{one['shape'][1]}** takes "
         f"{milliseconds(one['seconds']['fused'])} ms in one program and {milliseconds(one['seconds']['plain'])} ms "
         f"operator by operator, {_with_quartiles(Spread(**one['ratio']))} times as long (round by round; median and "
         f"quartiles).{moved}",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from benchmarks.bench_scaling import PARTS
 from benchmarks.bench_timing import ratios
@@ -95,6 +96,11 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
         axes.step(seconds, np.maximum.accumulate(decibels), where="post", color="grey", linewidth=0.8, zorder=0)
         axes.grid(alpha=0.3, which="both")
     panels[0].set_title(case)
+    marks = [
+        Line2D([], [], color=colour, linestyle="", marker="*" if kind == "default" else "o", label=kind)
+        for kind, colour in _COLOURS.items()
+    ]
+    drawn.legend(handles=marks, loc="outside lower center", ncols=len(marks), fontsize=8, frameon=False)
     panels[1].set_title("near the default")
     drawn.draw_without_rendering()  # only then it is known where what lies
     for axes, named in zip(panels, (set(places) - near, near), strict=True):

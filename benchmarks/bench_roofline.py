@@ -71,7 +71,7 @@ def kernels(shape: tuple[int, int], accumulated: tuple[int, int, int, int]) -> d
             lambda f, x: f.value_and_gradient(x), (data, image), 8 * one, slope * pixels, 8 * one
         ),
         "norm bound": Kernel(
-            lambda f: lipschitz_bound(f), (data,), 16 * one, 2 * (2 * slide + stencil) * pixels, 7 * one
+            lambda f: lipschitz_bound(f), (data,), 28 * one, 4 * (2 * slide + stencil) * pixels, 7 * one
         ),
         "Huber-TV": Kernel(lambda x: prior.value(x), (image,), one, 10 * pixels, one),
         f"its proximal step ({steps} dual steps)": Kernel(

@@ -3,7 +3,7 @@
 from typing import Any
 
 from benchmarks.bench_cases import FRAMES, Size, recorded, recording_of
-from benchmarks.bench_timing import Peak, memory_available
+from benchmarks.bench_timing import Peak, compiling_anew, memory_available
 from scsr_opt import reconstruct
 from scsr_opt.progress import Progress
 
@@ -25,7 +25,7 @@ def memory_needed(frames: int, side: int) -> int:
 
 def measure(size: Size, seed: int, progress: Progress) -> dict[str, list[dict[str, Any]]]:
     """`frames` and `sensor`: a row for each number of frames and for each side, ready for JSON, with `seconds` of the
-    parts for each round and the `peak` memory of the process (bytes). What does not fit into memory is `skipped`."""
+    parts for each round and the `peak` of memory that a call adds (bytes). What would not fit is `skipped`."""
     asked = [("frames", frames, size.still) for frames in size.frames]
     asked += [("sensor", FRAMES, side) for side in size.sides]
     found: dict[str, list[dict[str, Any]]] = {"frames": [], "sensor": [], "skipped": []}
@@ -49,7 +49,8 @@ def _row(frames: int, side: int, seed: int) -> dict[str, Any]:
     stats: dict[str, Any] = {}
     for number in range(_ROUNDS + 1):
         peak.reset()
-        stats = reconstruct(recording, scale=SCALE, frames=frames).stats
+        with compiling_anew():
+            stats = reconstruct(recording, scale=SCALE, frames=frames).stats
         if number:
             seconds.append(stats["seconds"])
         else:

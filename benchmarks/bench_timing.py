@@ -81,14 +81,13 @@ def compilations() -> Iterator[list[float]]:
 class Program(NamedTuple):
     """A compiled function as XLA sees it.
 
-    **Fields:** `compile_seconds`, tracing included; `flops` and `moved` (bytes that its operations read and write, one
+    **Fields:** `flops` and `moved` (bytes that its operations read and write, one
     by one, intermediate results included), None where XLA does not tell; `fusions`: how many fused kernels it calls;
     `memory`: bytes of its arguments, results and temporary arrays together. `call()` runs it.
 
     The body of a loop is counted once.
     """
 
-    compile_seconds: float
     flops: float | None
     moved: float | None
     fusions: int
@@ -103,14 +102,11 @@ def program(function: Callable[..., Any], *arguments: Any) -> Program:
     def pure(arrays: Any) -> list[jax.Array]:
         return jax.tree.leaves(eqx.filter(function(*eqx.combine(arrays, rest)), eqx.is_array))
 
-    begin = time.perf_counter()
     compiled = jax.jit(pure).lower(arrays).compile()
-    seconds = time.perf_counter() - begin
     told, sizes = compiled.cost_analysis() or {}, compiled.memory_analysis()
     assert sizes is not None  # told of every program that is compiled for a CPU
     memory = sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes
     return Program(
-        seconds,
         float(told["flops"]) if told.get("flops", -1) >= 0 else None,
         float(told["bytes accessed"]) if told.get("bytes accessed", -1) >= 0 else None,
         len(re.findall(r" fusion\(", compiled.as_text() or "")),
@@ -120,34 +116,44 @@ def program(function: Callable[..., Any], *arguments: Any) -> Program:
 
 
 class Peak:
-    """The most memory that this process has held since the last `reset`, bytes; None where the system does not tell
-    (elsewhere than on Linux)."""
+    """The most memory that this process has held since the last `reset`, beyond what it held then, bytes; None where
+    the system does not tell (elsewhere than on Linux)."""
+
+    def __init__(self):
+        self._before: int | None = None
 
     def reset(self) -> None:
-        # Linux forgets the highest mark when 5 is written here.
-        with contextlib.suppress(OSError):
+        try:
+            # Linux forgets the highest mark when 5 is written here.
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+            self._before = _bytes("/proc/self/status", "VmRSS")
+        except OSError:
+            self._before = None
 
     def read(self) -> int | None:
-        found = _field("/proc/self/status", "VmHWM")
-        return None if found is None else int(found.split()[0]) * _KILOBYTE
+        found = _bytes("/proc/self/status", "VmHWM")
+        return None if found is None or self._before is None else max(found - self._before, 0)
 
 
 def memory_available() -> int | None:
     """Bytes that could be taken now; None where the system does not tell."""
-    found = _field("/proc/meminfo", "MemAvailable")
-    return None if found is None else int(found.split()[0]) * _KILOBYTE
+    return _bytes("/proc/meminfo", "MemAvailable")
 
 
 def hardware() -> dict[str, Any]:
     """Processor, cores and memory (bytes); None for what the system does not tell."""
-    total = _field("/proc/meminfo", "MemTotal")
     return {
         "processor": _field("/proc/cpuinfo", "model name") or platform.machine(),
         "cores": os.cpu_count(),
-        "memory": None if total is None else int(total.split()[0]) * _KILOBYTE,
+        "memory": _bytes("/proc/meminfo", "MemTotal"),
         "system": platform.system(),
     }
+
+
+def _bytes(file: str, name: str) -> int | None:
+    """What a file of the system gives in kilobytes."""
+    found = _field(file, name)
+    return None if found is None else int(found.split()[0]) * _KILOBYTE
 
 
 def _field(file: str, name: str) -> str | None:

@@ -94,11 +94,13 @@ def stress(
     cores (two at most) if not given; 1 stays in this one. `kept`: a file for the cases that are done, so that a run
     which was stopped goes on from there (`Journal`). `progress`: told of the cases.
 
-    **Raises:** `InputError` for a family that does not exist, or fewer than one worker.
+    **Raises:** `InputError` for a family that does not exist, a seed below 0, or fewer than one worker.
     """
     unknown = [name for name in only if name not in FAMILIES]
     if unknown:
         raise InputError(f"There is no family of cases {unknown[0]!r}: take some of {', '.join(FAMILIES)}.")
+    if seed < 0:
+        raise InputError(f"seed is {seed}, but it must be a whole number of at least 0.")
     workers = min(2, os.cpu_count() or 1) if workers is None else workers
     if workers < 1:
         raise InputError(f"workers is {workers}, but it must be at least 1.")
@@ -156,6 +158,7 @@ def machine() -> dict[str, Any]:
         commit = None
     return {
         "machine": f"{os.cpu_count()} {platform.machine()} cores, {platform.system()}",
+        "device": f"{jax.default_backend()}, {jax.devices()[0].device_kind}",
         "versions": versions(),
         "commit": commit,
     }

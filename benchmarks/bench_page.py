@@ -1,5 +1,12 @@
-"""The tables of docs/benchmarks.md."""
+"""The tables and plots of docs/benchmarks.md.
 
+    python -m benchmarks.bench_page build/benchmarks.json docs/benchmarks.md
+
+writes the page anew from figures that were kept (`scsr bench --json`), without measuring anything.
+"""
+
+import json
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -235,3 +242,13 @@ _SECTIONS: dict[str, Callable[[Any], list[str]]] = {
     "roofline": _roofline,
     "statements": _statements,
 }
+
+
+def main(kept: str, written: str) -> None:
+    """`written`: the page of the figures in the file `kept`."""
+    found = json.loads(Path(kept).read_text(encoding="utf-8"))
+    write(Path(written), Report(found["figures"], found["about"]))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -100,7 +100,9 @@ def _pairs(quick: bool) -> Iterator[tuple[str, str]]:
     """Solvers with priors, those that refuse each other included."""
     for number, (solver, prior) in enumerate(itertools.product(SOLVERS, PRIORS)):
         variant = "," in solver
-        if (variant or solver in SMOOTH) and prior not in ("TV", "Huber-TV"):
+        if variant and prior not in ("TV", "Huber-TV"):
+            continue
+        if solver in SMOOTH and prior not in ("TV", "Huber-TV", "ridge"):
             continue
         if prior in SLOW and solver not in ("FISTA", "ADMM"):
             continue
@@ -121,8 +123,8 @@ def _turns(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
                 prior=prior,
                 light=LIGHTS[at % 9],
                 strength=STRENGTHS[at * 5 % 13],
-                bad=BAD[at * 5 % 6] if at % 3 == 0 else 0.0,
-                motion=MOTIONS[at % 7],
+                bad=BAD[at // 3 % 6] if at % 3 == 0 else 0.0,
+                motion=MOTIONS[(at + at // 9) % 9],
                 start=STARTS[(at + at // 7) % 7],
                 seed=int(rng.integers(1 << 31)),
                 iterations=12 if prior in SLOW else ITERATIONS,
@@ -133,21 +135,23 @@ def _turns(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
 def _strengths(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     chosen = itertools.product(
         ("FISTA",) if quick else ("FISTA", "ADMM", "CondatVu", "ChambollePock", "LBFGS"),
-        ("Huber-TV",) if quick else ("TV", "Huber-TV", "wavelet"),
+        ("Huber-TV",) if quick else ("TV", "Huber-TV", "ridge", "wavelet"),
         STRENGTHS[::3] if quick else STRENGTHS,
     )
     made = (
         Case("", solver=solver, prior=prior, strength=strength, seed=int(rng.integers(1 << 31)))
         for solver, prior, strength in chosen
-        if solver not in SMOOTH or prior == "Huber-TV"
+        if solver not in SMOOTH or prior in ("Huber-TV", "ridge")
     )
     return _in_each(PRECISIONS, made)
 
 
 def _lights(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     made = (
-        Case("", light=light, bad=bad, seed=int(rng.integers(1 << 31)))
-        for light, bad in itertools.product(LIGHTS, (0.0, 1.0) if quick else BAD)
+        Case("", prior=prior, light=light, bad=bad, seed=int(rng.integers(1 << 31)))
+        for prior, light, bad in itertools.product(
+            ("Huber-TV",) if quick else ("Huber-TV", "ridge"), LIGHTS, (0.0, 1.0) if quick else BAD
+        )
     )
     return _in_each(PRECISIONS, made)
 
@@ -167,7 +171,7 @@ def _descent(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
         Case("", kind="descent", solver="ISTA", prior=prior, step=step, light=light, strength=strength, seed=seed)
         for seed, (prior, step, (light, strength)) in enumerate(
             itertools.product(
-                ("TV",) if quick else (*ANALYSIS, "bounded TV"),
+                ("TV",) if quick else (*ANALYSIS, "ridge", "bounded TV"),
                 (1.0,) if quick else (0.5, 1.0),
                 (("0.3", 1e-3), ("0.3", 0.0), ("0.01", 1e-2), ("0.3", 1.0), ("all-one", 1e-2), ("0.3", 1e4)),
             )
@@ -222,9 +226,11 @@ def _lenses(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
 def _long(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     every = ("FISTA", "FISTA, backtracking", "ISTA", "ADMM", "CondatVu", "ChambollePock", "LBFGS", "NonlinearCG")
     made = (
-        Case("", solver=solver, iterations=5000 if quick else 100_000, strength=strength, start="noise", seed=3)
-        for solver in (every[:2] if quick else every)
-        for strength in (1e-3,)
+        Case("", solver=solver, prior=prior, iterations=5000 if quick else 100_000, start="noise", seed=3)
+        for solver, prior in (
+            *((solver, "Huber-TV") for solver in (every[:2] if quick else every)),
+            *(() if quick else (("FISTA", "ridge"),)),
+        )
     )
     return _in_each(PRECISIONS[1:2] if quick else PRECISIONS[:2], made)
 
@@ -241,7 +247,7 @@ def _gradients(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
             bad=bad,
             seed=int(rng.integers(1 << 31)),
         )  # fmt: skip
-        for prior in (("TV",) if quick else ANALYSIS)
+        for prior in (("TV",) if quick else (*ANALYSIS, "ridge"))
         for light, strength, motion, bad in (
             ("0.3", 1e-3, "diagonal", 0.0),
             ("0.3", 0.0, "diagonal", 0.0),
@@ -287,6 +293,8 @@ def _door(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
                 yield door(sensor=sensor, scale=scale, light=light, motion="static")
         for lens in (1.0, 16.0):
             yield from (door(lens=lens, light=light) for light in LIGHTS)
+        for motion, light in itertools.product(MOTIONS, LIGHTS[::2]):
+            yield door(motion=motion, light=light, prior="ridge")
 
 
 def _random(rng: np.random.Generator, quick: bool) -> Iterator[Case]:

@@ -23,10 +23,16 @@ least as large as that. M and c in bfloat16 change by 2⁻⁸ of themselves, whi
 place of X in (1): −E(Y) ≤ F(X) − F(Y) ≤ E(X), E = g + (ρ's bound + ‖e‖)·‖X − Y‖ + d·u·λ(Ψ(X) + Ψ(Y)), the last for a
 dual variable that is outside its ball by rounding. g is measured: how exact a proximal step is, is the prior's choice.
 
+For a ridge regulariser (`ISTA`, `FISTA` and jaxopt's, L-BFGS, NonlinearCG) r = ∇f(X) + λ∇Ψ(X) and g = 0; what its
+truncated proximal step leaves, ‖R − βλ∇Ψ(X) − X‖/β, is measured and added to the promise. ∇Ψ = Σ W_cᵀψ_c'(W_c X) is
+known to k·u ‖Σ |W_c|ᵀ s_c |W_c| |X|‖, s_c the steepest slope of ψ_c', which stands in the place of ‖K‖‖p‖, and k grows
+by the 2·taps + filters + 3 operations between X and it.
+
 **Descent.** A step of ISTA with β ≤ 1/L, its proximal step within g of the optimum, does not raise F by more than g
 (Beck and Teboulle, 2009; the majoriser at X is F(X), at the exact step it is lower, and the step made is within g of
 that). F is added up from n pixels and known to (n + d)·u (½⟨B|X|, M B|X|⟩ + ⟨c, B|X|⟩ + ½e + 2λφ); the gradient's error
-adds ‖e‖‖X' − X‖.
+adds ‖e‖‖X' − X‖. A ridge regulariser's proximal step begins at X and never ends above it: g = 0. Its Ψ is known to
+(n + d)·u (2Ψ + Σ |ψ_c'(W_c X)| |W_c| |X|).
 """
 
 from typing import Any, NamedTuple
@@ -39,7 +45,9 @@ from jaxtyping import Array, Float
 
 from benchmarks.stress_cases import Case
 from benchmarks.stress_data import addends
-from scsr_opt.priors import Analysis, Bounded, Prior
+from benchmarks.stress_methods import PRIORS
+from scsr_opt.priors import Analysis, Bounded, Prior, RidgeRegulariser
+from scsr_opt.priors.ridge_regulariser import correlate, correlate_adjoint, profile_and_derivative
 from scsr_opt.solvers import Problem, lipschitz_bound
 from scsr_opt.solvers.stopping import misfit
 
@@ -49,7 +57,8 @@ STORAGE = {"float64": 0.0, "float32": 0.0, "bfloat16": 2.0**-8}
 
 class Measured(NamedTuple):
     """In float64: `objective` F, `misfit` g, `slope` ‖r‖, `length` ‖X‖, `gradient` ‖Bᵀ(M B|X| + c)‖, `step` ‖X‖ + ‖R‖ +
-    βλ‖K‖‖p‖, `prior` λΨ, `lipschitz` L, `apart` ‖R − βλK*p − X‖, `value` ½⟨B|X|, M B|X|⟩ + ⟨|c|, B|X|⟩ + ½e."""
+    βλ‖K‖‖p‖ (or what stands for it), `prior` λΨ, `lipschitz` L, `apart` ‖R − βλK*p − X‖, `value` ½⟨B|X|, M B|X|⟩ +
+    ⟨|c|, B|X|⟩ + ½e."""
 
     objective: Array
     misfit: Array
@@ -79,23 +88,28 @@ def measure(
     dual: Any,
 ) -> Measured:
     """Everything that the bounds are made of, in the precision of the problem. `origin`: the first picture."""
-    prior, λ, data = analysis_of(problem.prior), problem.strength, problem.data
-    assert prior is not None
+    λ, data = problem.strength, problem.data
     value, gradient = data.value_and_gradient(image)
-    penalty, excess = misfit(prior, prior.analysis(image), dual)
-    back = λ * prior.adjoint(dual)
     size = jnp.maximum(jnp.abs(image), jnp.abs(origin))
+    norm = jnp.linalg.norm
+    if isinstance(problem.prior, RidgeRegulariser):
+        (penalty, slope), excess = problem.prior.value_and_gradient(image), jnp.zeros(())
+        back, of_prior = λ * slope, norm(ridge_sizes(problem.prior, size)[1])
+    else:
+        prior = analysis_of(problem.prior)
+        assert prior is not None
+        penalty, excess = misfit(prior, prior.analysis(image), dual)
+        back = λ * prior.adjoint(dual)
+        of_prior = prior.norm_squared**0.5 * jnp.sqrt(sum(jnp.sum(p**2) for p in jax.tree.leaves(dual)))
     sizes = data.blurred_adjoint(data.stencil(data.blurred(size)) + jnp.abs(data.target))
     own = data.blurred(jnp.abs(image))
-    of_dual = jnp.sqrt(sum(jnp.sum(p**2) for p in jax.tree.leaves(dual)))
-    norm = jnp.linalg.norm
     return Measured(
         objective=value + λ * penalty,
         misfit=jnp.maximum(λ * excess, 0),
         slope=norm(gradient + back),
         length=norm(image),
         gradient=norm(sizes),
-        step=norm(size) + norm(gradient_step) + step_size * λ * prior.norm_squared**0.5 * of_dual,
+        step=norm(size) + norm(gradient_step) + step_size * λ * of_prior,
         prior=λ * penalty,
         lipschitz=lipschitz_bound(data),
         apart=norm(gradient_step - step_size * back - image),
@@ -103,10 +117,22 @@ def measure(
     )
 
 
+def ridge_sizes(prior: RidgeRegulariser, image: Float[Array, "H W"]) -> tuple[Array, Float[Array, "H W"]]:
+    """What Ψ and ∇Ψ are added up from, by their sizes: Σ |ψ_c'(W_c X)| |W_c| |X| and Σ |W_c|ᵀ s_c |W_c| |X|."""
+    filters = jnp.abs(prior.filters)
+    seen = correlate(filters, jnp.abs(image))
+    _, derivative = profile_and_derivative(prior.knots, prior.slopes, correlate(prior.filters, image))
+    steepest = jnp.abs(prior.slopes).max(1).astype(image.dtype)[:, None, None]
+    return jnp.sum(jnp.abs(derivative) * seen), correlate_adjoint(filters, steepest * seen)
+
+
 def chain(case: Case) -> int:
     """d."""
     taps = 0 if case.lens is None else 2 * (2 * int(4 * case.lens + 0.5) + 1)
-    return 2 * (9 + 4 * case.scale + taps) + 32
+    prior, bank = PRIORS[case.prior], 0
+    if isinstance(prior, RidgeRegulariser):
+        bank = 2 * prior.filters[0].size + len(prior.filters) + 3
+    return 2 * (9 + 4 * case.scale + taps) + bank + 32
 
 
 class Certificate(NamedTuple):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.camera.measuring import Measuring
+from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
@@ -44,7 +44,9 @@ _SHARE, _STRETCH = 5, 8
 # that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
 # by noise alone believed, where it always lost.
 _BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.6)
-_LOWEST, _HIGHEST = 0.5, 16.0
+# What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
+# (docs/data-term.md).
+_LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.5, 16.0, 256.0
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
 
@@ -168,8 +170,8 @@ def validated_strength(
             tried[factor] = float(_missed(validation, solved(factor)))
         return tried[factor]
 
-    best = 1.0
-    while missed(2 * best) < missed(best) and 2 * best < _HIGHEST:
+    best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
+    while missed(2 * best) < missed(best) and 2 * best < highest:
         best *= 2
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2

@@ -8,8 +8,8 @@ The classical method here is Eq. 4 itself with one still picture, Y the playback
 steps; Aly and Dubois, "Image up-sampling using total-variation regularization with a new observation model", 2005, has
 the same D_s, the mean over a sensor pixel). Why this and not iterative back-projection (Irani and Peleg, 1991): that
 minimises the first term alone from an interpolated start, and playback is noisy, so it has to be stopped by hand before
-it fits the noise. It also differs from `reconstruct` in nothing but the data, so that the difference between the two is
-what the many moments of a recording are worth.
+it fits the noise. It also differs from `reconstruct` with total variation in nothing but the data, so that the
+difference between the two is what the many moments of a recording are worth.
 """
 
 from typing import SupportsFloat, SupportsIndex

@@ -58,7 +58,7 @@ class Windows(Measuring):
     """Spikes counted in windows of `length` frames, one after the other, Y = cθ / n (`windows`).
 
     A count is wrong by up to θ, an interval by a frame's light: windows need 4 to 64 times the strength of the prior
-    and are 1 to 4 dB behind (docs/data-term.md). For comparison, and for frames that were summed up before they came.
+    and are 0.8 to 6 dB behind (docs/data-term.md). For comparison, and for frames that were summed up before they came.
 
     **Fields:** `length`: frames, at least 1 and at most those that are used.
 

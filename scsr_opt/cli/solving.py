@@ -40,8 +40,9 @@ class Solving:
         Parameter(
             allow_leading_hyphen=True,
             help="auto: the simplest that fits (none, global, or layers with occlusion); none: nothing moves; phase: "
-            "one translation; global: one affine motion for all; dense, ilk, tvl1: a velocity for each pixel; "
-            "DOWN,RIGHT: this velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
+            "one translation; global: one motion for all, affine or perspective as the recording asks; "
+            "dense, ilk, tvl1: a velocity for each pixel; DOWN,RIGHT: this velocity, sensor pixels per frame; "
+            "FILE.npy: (2, height, width) of them.",
         ),
     ] = "auto"
     refine: Annotated[
@@ -96,7 +97,10 @@ class Solving:
     ] = "fista"
     iterations: Annotated[
         Whole | None,
-        Parameter(help="Iterations at most, in each solve. Default: 200, for condat-vu and chambolle-pock 400."),
+        Parameter(
+            help="Iterations at most, in each solve. Default: 200, for condat-vu and chambolle-pock 400, for "
+            "jaxopt-ista and jaxopt-fista 100."
+        ),
     ] = None
 
     skip: Annotated[

@@ -56,7 +56,8 @@ class Still(Estimator):
 
 
 class Global(Estimator):
-    """One motion for the whole scene (`together`): affine, or a translation only."""
+    """One motion for the whole scene (`together`): a translation, affine or perspective motion (a homography), as far
+    as the recording asks for it, with acceleration; or a translation only."""
 
     affine: bool = True
 
@@ -65,14 +66,14 @@ class Global(Estimator):
 
 
 class Dense(Estimator):
-    """A velocity for each pixel (`dense`); no edges, no occlusion."""
+    """A velocity for each pixel (`dense`), constant over time; no edges, no occlusion, no acceleration."""
 
     def __call__(self, pictures: Stretches) -> Motion:
         return dense(pictures)
 
 
 class Automatic(Estimator):
-    """The simplest motion that the recording does not contradict: none, one affine motion for all, or layers.
+    """The simplest motion that the recording does not contradict: none, one motion for all, or layers.
 
     Few numbers are estimated far better than many, so the richer ones are used only where they are needed.
 

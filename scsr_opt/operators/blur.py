@@ -32,10 +32,11 @@ class Blur(LinearOperator):
 
     **Arguments:**
     - `shape`: (H, W) of the picture.
-    - `psf`: (kh, kw), both odd, finite, with a positive sum; in high-resolution pixels. Kept in JAX's default
-      precision.
+    - `psf`: (kh, kw), both odd, finite, without negative values, with a positive sum; in high-resolution pixels.
+      Kept in JAX's default precision.
 
-    **Errors:** `InputError` for a PSF that is not two-dimensional, has an even side, or cannot be scaled to sum 1.
+    **Errors:** `InputError` for a PSF that is not two-dimensional, has an even side, has a negative value (no light
+    is negative, and the step sizes of the solvers rest on it), or cannot be scaled to sum 1.
     """
 
     kernels: tuple[Float[Array, "_ _"], ...]
@@ -58,7 +59,7 @@ class Blur(LinearOperator):
         which then goes to every pixel alike), or a `truncate` that is not from 0 (excluded) to 10 (beyond which
         nothing is left in double precision).
         """
-        rows, columns = (sigma, sigma) if isinstance(sigma, int | float) else sigma
+        rows, columns = np.broadcast_to(np.asarray(sigma, float), 2).tolist()
         most = max(*picture_shape(shape, "Blur"), _ALWAYS)
         down, right = _gaussian(rows, truncate, most), _gaussian(columns, truncate, most)
         passes = [kernel for kernel in (down[:, None], right[None, :]) if kernel.size > 1]
@@ -132,4 +133,8 @@ def _unit_sum(psf: ArrayLike) -> Float[Array, "kh kw"]:
     total = kernel.sum()
     if not np.all(np.isfinite(kernel)) or not total > 0:
         raise InputError(f"Blur was given a PSF that sums to {total:g}; it needs finite values with a positive sum.")
+    if kernel.min() < 0:
+        raise InputError(
+            f"Blur was given a PSF with a value of {kernel.min():g}; light is never negative: cut it off at 0."
+        )
     return jnp.asarray(kernel / total)

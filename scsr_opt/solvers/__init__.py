@@ -2,7 +2,8 @@
 
 `run(FISTA(), problem, image)` is the loop that they share. `FISTA` is the one to use; `ISTA` is Eq. 5 as it stands.
 `ADMM`, `CondatVu` and `ChambollePock` split the prior off by a dual variable; `NonlinearCG` and `LBFGS` (optimistix)
-are for smooth priors. `JaxoptISTA`, `JaxoptFISTA` and `JaxoptADMM` do the same by an independent implementation.
+are for smooth priors. `JaxoptISTA` and `JaxoptFISTA` do the same by an independent implementation, and `JaxoptADMM`
+solves the linear systems of `ADMM` by one.
 `solution` is the minimiser as a function that can be differentiated.
 """
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
+from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.splitting import AnalysisSplitting, Dual
 
@@ -26,7 +27,8 @@ def solution(
     accumulated samples c (`problem.data.target`), M, and the priors' and optics' own.
 
     With p the dual variable, the pair v* = (X*, p*) is a fixed point v = T(v, θ) of a primal–dual step, all of whose
-    parts are exact and known (a truncated proximal step is not). By the implicit function theorem (Christianson, 1994,
+    parts are exact and known (a truncated proximal step is not); of a gradient step, without p, for a
+    `RidgeRegulariser`. By the implicit function theorem (Christianson, 1994,
     "Reverse accumulation and attractive fixed points"; for proximal methods Bolte, Le, Pauwels, Silveti-Falls, 2021,
     "Nonsmooth implicit differentiation for machine learning and optimization") the gradient of a loss l(X*) is
 
@@ -37,7 +39,8 @@ def solution(
     where p* is not unique, convergence is slow. Compare results of two numbers of iterations.
 
     **Arguments:**
-    - `problem`: with an `Analysis` prior; others have no known conjugate step, or remember more than a dual variable.
+    - `problem`: with an `Analysis` prior or a `RidgeRegulariser` (where that is only weakly convex, X* is a critical
+      point); others have no known conjugate step, or remember more than a dual variable.
     - `image`: where to start; the picture of an `Outcome` saves iterations. X* does not depend on it, nor is it
       differentiated by it.
     - `iterations`, `adjoint_iterations`: of the forward and the backward equation.
@@ -46,9 +49,10 @@ def solution(
 
     **Errors:** `InputError` for another prior, or fewer than one iteration.
     """
-    if not isinstance(problem.prior, Analysis):
+    if not isinstance(problem.prior, Analysis | RidgeRegulariser):
         raise InputError(
-            f"solution was given {type(problem.prior).__name__}; it needs an Analysis prior such as TotalVariation."
+            f"solution was given {type(problem.prior).__name__}; it needs an Analysis prior such as TotalVariation, or "
+            "a RidgeRegulariser."
         )
     for name, number in (("iterations", iterations), ("adjoint_iterations", adjoint_iterations)):
         if number < 1:
@@ -65,7 +69,8 @@ def _solution(numbers: Any, fixed: Any, iterations: int, adjoint_iterations: int
 
     def fixed_point(numbers: Any, image: Array) -> _Pair:
         problem: Problem = eqx.combine(numbers, fixed)
-        first = (image, problem.prior.initial_state(image))
+        prior = problem.prior
+        first = (image, prior.initial_state(image) if isinstance(prior, Analysis) else ())
         return _repeated(lambda pair: _step(problem, pair), first, iterations)
 
     def forward(numbers: Any, image: Array) -> tuple[Array, Any]:
@@ -96,12 +101,16 @@ def _repeated(step: Callable[[_Pair], _Pair], pair: _Pair, times: int) -> _Pair:
 
 
 def _step(problem: Problem, pair: _Pair) -> _Pair:
-    """T: the step of `CondatVu`, with κ = 1."""
-    assert isinstance(problem.prior, Analysis)
-    splitting, λ = AnalysisSplitting(problem.prior), problem.strength
+    """T: the step of `CondatVu`, with κ = 1, or a step along the gradient."""
+    prior, λ = problem.prior, problem.strength
     # Its solutions do not depend on the step sizes, and the derivative of the bound would be wasted work.
     lipschitz = jax.lax.stop_gradient(lipschitz_bound(problem.data))
     image, dual = pair
+    if isinstance(prior, RidgeRegulariser):
+        steepest = lipschitz + jax.lax.stop_gradient(λ) * prior.curvature
+        return image - (problem.data.gradient(image) + λ * prior.gradient(image)) / steepest, dual
+    assert isinstance(prior, Analysis)
+    splitting = AnalysisSplitting(prior)
     moved = image - (problem.data.gradient(image) + λ * splitting.adjoint(dual)) / (2 * lipschitz)
     field = splitting.analysis(2 * moved - image)
     return moved, splitting.ascend(Dual(dual, None, None), field, λ, lipschitz / splitting.norm_squared).field

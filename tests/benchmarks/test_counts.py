@@ -59,11 +59,13 @@ def test_no_iteration_does_more():
 def test_the_same_shape_compiles_nothing_again():
     with compiled_quickly():
         counted = bench_counts.compilations_again()
-    assert counted["first"] > 0 and counted["second"] == 0
+    assert counted["first"] > 0 and counted["again"] == 0
+    # Another recording may have another of the few lengths that samples are padded to.
+    assert counted["second"] <= 10 and counted["third"] == 0
 
 
 @pytest.mark.parametrize("name", ["iterations", "programs"])
-def test_the_file_is_what_is_counted(name, monkeypatch, tmp_path, capsys):
+def test_the_file_is_written_as_it_was_counted(name, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(bench_counts, "iterations", lambda: {"FISTA": {"1e-01": 1}})
     monkeypatch.setattr(bench_counts, "programs", lambda: {"FISTA": {"fusions": 2}})
     monkeypatch.setattr("sys.argv", ["bench_counts", "--write", str(tmp_path / "counts.json")])

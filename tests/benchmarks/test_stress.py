@@ -115,12 +115,13 @@ def test_a_step_too_long_is_seen_to_rise():
 
 
 @pytest.mark.parametrize(
-    ("image", "good", "objective", "holds"),
-    [(0.5, True, 1.0, True), (math.nan, True, 1.0, False), (math.nan, False, 1.0, False), (0.5, False, math.nan, True),
-     (0.5, True, math.nan, False), (math.inf, True, 1.0, False)],
+    ("image", "good", "objective", "step", "holds"),
+    [(0.5, True, 1.0, None, True), (math.nan, True, 1.0, None, False), (math.nan, False, 1.0, 1.5, False),
+     (0.5, False, math.nan, 1.5, True), (0.5, False, math.nan, 1.0, False), (0.5, True, math.nan, 1.5, False),
+     (math.inf, True, 1.0, None, False)],
 )  # fmt: skip
-def test_what_ends_well(image, good, objective, holds):
-    finding = stress_solve.Finding(ORDINARY)
+def test_what_ends_well(image, good, objective, step, holds):
+    finding = stress_solve.Finding(dataclasses.replace(ORDINARY, step=step))
     stress_solve.ends_well(finding, np.full((2, 2), image), "converged", good, (1.0, objective))
     assert finding.checks == {"ends well": holds}
 

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,9 @@ def test_weights_follow_the_level_and_keep_their_sum():
     ratio = (0.8**2 / 135000 + 0.8 / 15000) / (0.2**2 / 135000 + 0.2 / 15000)
     assert per_frame[found.row < 30].mean() == pytest.approx(ratio * per_frame[found.row >= 30].mean(), rel=1e-3)
     assert np.ptp(per_frame[found.row < 30]) < 1e-3 * per_frame.max()  # one factor for all samples of a pixel
+    # When the recording began does not matter.
+    later = replace(found, start=found.start + np.float32(1000), stop=found.stop + np.float32(1000))
+    np.testing.assert_allclose(Noise(photons=100.0).weights(later, level), weight, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

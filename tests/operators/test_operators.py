@@ -407,6 +407,7 @@ def test_blur_is_differentiable_in_the_psf():
         (np.zeros((3, 3)), "sums to 0"),
         (np.full((3, 3), np.nan), "finite values"),
         (-np.ones((3, 3)), "positive sum"),
+        (np.array([[-0.1, 1.2, -0.1]]), "light is never negative"),
     ],
 )
 def test_blur_refuses_what_is_no_psf(psf, message):

@@ -9,7 +9,7 @@ import pytest
 from scsr_opt.errors import InputError
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.sampling import DataTerm, Stencil
-from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, TotalVariation
+from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, RidgeRegulariser, TotalVariation
 from scsr_opt.solvers import Problem, solution
 
 SHAPE = (7, 9)
@@ -17,6 +17,7 @@ PRIORS = {
     "TV": TotalVariation(),
     "anisotropic TV": TotalVariation(isotropic=False),
     "Huber TV": HuberTotalVariation(knee=0.03),
+    "ridge": RidgeRegulariser.load(),
 }
 # Both equations converge linearly, where TV is isotropic slowly: after 4,000 iterations its derivative is 1e-3 off.
 ITERATIONS = 16000

@@ -71,6 +71,21 @@ def situation(case: Case) -> Situation:
     return Situation(spikes, said, bad, key)
 
 
+def has_samples(seen: Situation) -> bool:
+    """Is there for certain something to make a picture from: two spikes of a good pixel, between which what it sees
+    stays on the sensor? Said of motions that are the same everywhere only."""
+    if not np.ptp(seen.velocity, axis=(1, 2)).any():
+        last = np.array(seen.spikes.shape[1:]) - 1
+        for row, column in np.argwhere(~seen.bad):
+            at = np.flatnonzero(seen.spikes[:, row, column])
+            # Where in the key frame what it sees lies, at each of its spikes.
+            place = (row, column) - seen.velocity[:, 0, 0] * (at - seen.key)[:, None]
+            inside = ((place >= 0) & (place <= last)).all(1)
+            if (inside[1:] & inside[:-1]).any():
+                return True
+    return False
+
+
 def picture_shape(case: Case) -> tuple[int, int]:
     return case.scale * case.sensor[0], case.scale * case.sensor[1]
 

@@ -72,6 +72,18 @@ def test_recordings_are_what_their_names_say():
     assert not stress_data.situation(Case("", bad=0.0)).bad.any()
 
 
+@pytest.mark.parametrize(
+    ("axes", "something"),
+    [({}, True), ({"light": "all-one", "motion": "integer"}, True), ({"light": "0.1", "motion": "integer"}, False),
+     ({"bad": 1.0}, False), ({"light": "all-zero"}, False), ({"motion": "huge"}, False)],
+)  # fmt: skip
+def test_where_there_is_something_to_see_a_picture_is_asked_for(axes, something):
+    case = Case("door", kind="reconstruct", iterations=5, **axes)
+    assert stress_data.has_samples(stress_data.situation(case)) == something
+    found = stress_run.examine(case)
+    assert found.passed and (found.outcome == "no_samples") != something
+
+
 def test_addends_are_counted():
     """Two pixels at ×1 at rest: the right one gets a tap of each of its own samples, and one of each of the left's."""
     case = Case("", sensor=(1, 2), scale=1, motion="static", light="all-one", frames=7)

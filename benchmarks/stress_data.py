@@ -80,7 +80,7 @@ def has_samples(seen: Situation) -> bool:
             at = np.flatnonzero(seen.spikes[:, row, column])
             # Where in the key frame what it sees lies, at each of its spikes.
             place = (row, column) - seen.velocity[:, 0, 0] * (at - seen.key)[:, None]
-            inside = ((place >= 0) & (place <= last)).all(1)
+            inside: np.ndarray = np.all((place >= 0) & (place <= last), axis=1)
             if (inside[1:] & inside[:-1]).any():
                 return True
     return False

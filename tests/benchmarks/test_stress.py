@@ -106,6 +106,13 @@ def test_an_ordinary_case_passes_and_says_so():
     assert 0 <= found.numbers["share of the bound"] < 1
 
 
+def test_a_prior_without_a_dual_variable_is_certified_by_its_gradient():
+    found = stress_run.examine(dataclasses.replace(ORDINARY, prior="ridge", iterations=20))
+    assert found.passed and found.checks["agrees with float64"] and 0 <= found.numbers["share of the bound"] < 1
+    falls = Case("descent", kind="descent", solver="ISTA", prior="ridge", step=1.0)
+    assert stress_run.examine(falls).checks == {"ends well": True, "objective falls": True}
+
+
 def test_a_picture_that_is_not_the_minimiser_does_not_agree():
     """As if a solver had stopped too early and reported the residual of a later picture."""
     one, exact = (

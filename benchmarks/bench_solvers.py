@@ -31,6 +31,7 @@ from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers import Problem, Solver, run
+from scsr_opt.solvers.stopping import Evidence
 
 DEFAULT_SOLVER = "FISTA"
 # Frames that spikes are counted over: about twice the interval of a pixel at half the intensity of white.
@@ -112,17 +113,17 @@ def minimum(problem: Problem, start: Float[Array, "H W"], iterations: int) -> Ex
         found = run(solvers.FISTA(iterations=iterations, tolerance=1e-8), double, jnp.asarray(start, jnp.float64))
         lowest, certain = min(stage.objective for stage in found.stages), math.nan
         if isinstance(double.prior, priors.RidgeRegulariser):
-            certain = float(_above_minimum(double, jnp.asarray(found.image))) / lowest
+            certain = float(_gap_by_gradient(double, jnp.asarray(found.image)))
     return Exact(double, lowest, certain)
 
 
 @eqx.filter_jit
-def _above_minimum(problem: Problem, image: Float[Array, "H W"]) -> Float[Array, ""]:
-    """F − min F at most, for a convex F with a gradient and a minimiser Y within −1 … 2, as for the duality gap:
-    F(X) − F(Y) ≤ ⟨∇F(X), X − Y⟩."""
+def _gap_by_gradient(problem: Problem, image: Float[Array, "H W"]) -> Float[Array, ""]:
+    """F above its minimum at most, relative, for a convex Ψ with a gradient: the duality gap with p = ∇Ψ, g = 0."""
     prior: Any = problem.prior
     slope = problem.data.gradient(image) + problem.strength * prior.gradient(image)
-    return jnp.sum(jnp.maximum(slope * (image + 1), slope * (image - 2)))
+    objective, nothing = problem.data.value(image) + problem.strength * prior.value(image), jnp.zeros(())
+    return solvers.DualityGap(-1, 2).gap(Evidence(image, objective, slope, nothing, nothing))
 
 
 def followed(

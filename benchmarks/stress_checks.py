@@ -33,6 +33,9 @@ by the 2·taps + filters + 3 operations between X and it.
 that). F is added up from n pixels and known to (n + d)·u (½⟨B|X|, M B|X|⟩ + ⟨c, B|X|⟩ + ½e + 2λφ); the gradient's error
 adds ‖e‖‖X' − X‖. A ridge regulariser's proximal step begins at X and never ends above it: g = 0. Its Ψ is known to
 (n + d)·u (2Ψ + Σ |ψ_c'(W_c X)| |W_c| |X|).
+
+L-BFGS and NonlinearCG accept a picture where the value that they calculate, βF, has not risen by more than 5 units of
+2u|βF| (`_SLACK` of scsr_opt/solvers/smooth.py); β and the sum of F's two parts, rounded on either side, add two more.
 """
 
 from typing import Any, NamedTuple
@@ -51,6 +54,8 @@ from scsr_opt.priors.ridge_regulariser import correlate, correlate_adjoint, prof
 from scsr_opt.solvers import Problem, lipschitz_bound
 from scsr_opt.solvers.stopping import misfit
 
+# Of 2u|F|: how much F may rise in a step of L-BFGS or NonlinearCG.
+SLACK = 7
 UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "bfloat16": 2.0**-24}
 STORAGE = {"float64": 0.0, "float32": 0.0, "bfloat16": 2.0**-8}
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.stress_cases import Case
-from benchmarks.stress_checks import UNIT, agreement, analysis_of, chain, ridge_sizes
+from benchmarks.stress_checks import SLACK, UNIT, agreement, analysis_of, chain, ridge_sizes
 from benchmarks.stress_data import (
     WHITE_RATE,
     first_picture,
@@ -64,6 +64,10 @@ def _has_to_be_refused(case: Case) -> bool:
 def _solve(case: Case, finding: Finding) -> None:
     found = solve(case)
     ends_well(finding, found.image, found.result, found.good, found.objectives)
+    if case.solver in SMOOTH and found.good:
+        before, after = np.asarray(found.objectives[:-1]), np.asarray(found.objectives[1:])
+        allowed = SLACK * 2 * UNIT[case.precision] * np.abs(before)
+        finding.checks["objective falls"] = bool((after - before <= allowed).all())
     if case.iterations <= LONG:
         again = solve(case)
         finding.checks["is the same again"] = (

@@ -22,7 +22,9 @@ from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
 from scsr_opt.placing import Measurements, Stream, measured
+from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
@@ -47,6 +49,9 @@ _BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.6)
 # What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
 # (docs/data-term.md).
 _LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.5, 16.0, 256.0
+# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time and asks for
+# somewhat more than the learned prior needs.
+_STAND_IN = 0.8
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
 
@@ -125,7 +130,8 @@ def validated_strength(
 
     **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
-    use the prior's proximal step, as it does. `noise`: what `noise_of_mean` finds, if that is known.
+    use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`. `noise`: what
+    `noise_of_mean` finds, if that is known.
 
     **Raises:** as `relative_strength`.
     """
@@ -155,10 +161,14 @@ def validated_strength(
     image = first = image[tuple(slice(scale * of.start, scale * of.stop) for of in (rows, columns))]
     term, state = validation.plain, None
     tried: dict[float, float] = {}
+    learned = isinstance(prior, RidgeRegulariser)
+    stand_in = HuberTotalVariation() if learned else prior
+    share = relative_strength(prior) / relative_strength(stand_in)
 
     def solved(factor: float) -> Array:
         nonlocal state, image
-        outcome = run(solver, Problem(term, prior, jnp.asarray(least * factor, jnp.float32)), first, similar=state)
+        λ = jnp.asarray(least * factor / share, jnp.float32)
+        outcome = run(solver, Problem(term, stand_in, λ), first, similar=state)
         state, image = outcome.state, jnp.asarray(outcome.image)
         return image
 
@@ -180,6 +190,7 @@ def validated_strength(
         by_time ** (1 - validation.by_pixel) * by_pixel**validation.by_pixel
         for by_time, by_pixel in (_BEYOND, _AT_LEAST)
     )
+    beyond *= _STAND_IN if learned else 1
     usable = everything and bool(jnp.isfinite(image).all())
     return Validated(least * max(at_least, beyond * best), image if usable else None)
 

@@ -1,6 +1,8 @@
 """How `scsr bench` measures: times in turns, what XLA says of a program, memory, and the machine it is on."""
 
 import contextlib
+import ctypes
+import gc
 import os
 import platform
 import re
@@ -117,18 +119,20 @@ def program(function: Callable[..., Any], *arguments: Any) -> Program:
 
 class Peak:
     """The most memory that this process has held since the last `reset`, beyond what it held then, bytes; None where
-    the system does not tell (elsewhere than on Linux)."""
+    the system does not tell (elsewhere than on Linux). What the process keeps of memory that it no longer uses is
+    handed back first, so that the next call takes longer: not one to be timed."""
 
     def __init__(self):
         self._before: int | None = None
 
     def reset(self) -> None:
-        try:
+        self._before = None
+        with contextlib.suppress(OSError, AttributeError, TypeError):  # another system, or another C library
+            gc.collect()
+            ctypes.CDLL(None).malloc_trim(0)
             # Linux forgets the highest mark when 5 is written here.
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
             self._before = _bytes("/proc/self/status", "VmRSS")
-        except OSError:
-            self._before = None
 
     def read(self) -> int | None:
         found = _bytes("/proc/self/status", "VmHWM")

@@ -124,9 +124,9 @@ def validated_strength(
 ) -> Validated:
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
 
-    Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A middle part of the
-    picture serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor; a lens makes
-    that part the whole picture, as its blur is made for one size.
+    Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A part of the picture
+    serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: one that is as rich in
+    contrast as the whole is in the mean. A lens makes that part the whole picture, as its blur is made for one size.
 
     **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
@@ -137,7 +137,7 @@ def validated_strength(
     """
     least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
-    rows, columns = (_middle(length, side) for length in stream.spikes.shape[1:])
+    rows, columns = _typical(np.asarray(image), scale, side)
     part = Stream(
         stream.spikes[:, rows, columns],
         stream.key,
@@ -158,7 +158,7 @@ def validated_strength(
     # A prior that is used by its gradient need not have a proximal step.
     kind = solver if isinstance(solver, Smooth) else FISTA()
     solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
-    image = first = image[tuple(slice(scale * of.start, scale * of.stop) for of in (rows, columns))]
+    image = first = image[_scaled(rows, scale), _scaled(columns, scale)]
     term, state = validation.plain, None
     tried: dict[float, float] = {}
     learned = isinstance(prior, RidgeRegulariser)
@@ -195,9 +195,24 @@ def validated_strength(
     return Validated(least * max(at_least, beyond * best), image if usable else None)
 
 
-def _middle(length: int, part: int) -> slice:
-    begin = max((length - part) // 2, 0)
-    return slice(begin, min(begin + part, length))
+def _typical(image: Float[np.ndarray, "H W"], scale: int, side: int) -> tuple[slice, slice]:
+    """The rows and columns, sensor pixels, of a part of up to `side` a side whose mean contrast in `image` is nearest
+    to that of all; of parts that overlap by half or more, in the order of their distance from the middle."""
+    down, right = (np.diff(image, axis=k, prepend=np.take(image, [0], k)) for k in (0, 1))
+    contrast = np.abs(down) + np.abs(right)
+    lengths = [length // scale for length in image.shape]
+    begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in lengths]
+    places = np.stack(np.meshgrid(*begins, indexing="ij"), -1).reshape(-1, 2).astype(int)
+    places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
+    parts = [(slice(row, min(row + side, lengths[0])), slice(column, min(column + side, lengths[1])))
+             for row, column in places.tolist()]  # fmt: skip
+    means = [contrast[_scaled(rows, scale), _scaled(columns, scale)].mean() for rows, columns in parts]
+    return parts[int(np.abs(np.asarray(means) - contrast.mean()).argmin())]
+
+
+def _scaled(of: slice, scale: int) -> slice:
+    """The high-resolution pixels of sensor pixels."""
+    return slice(scale * of.start, scale * of.stop)
 
 
 def _split(

@@ -13,9 +13,25 @@ from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.motion import Motion
 from scsr_opt.motion.estimate import given
 from scsr_opt.placing import Stream, first_picture, measured
-from scsr_opt.priors import BilateralTotalVariation, Bounded, Prior, TotalVariation, WaveletL1
+from scsr_opt.priors import (
+    BilateralTotalVariation,
+    Bounded,
+    HuberTotalVariation,
+    Prior,
+    RidgeRegulariser,
+    TotalVariation,
+    WaveletL1,
+)
 from scsr_opt.solvers import FISTA, LBFGS, Solver
-from scsr_opt.strength import _held_out, _middle, _vertex, noise_of_mean, strength_of_noise, validated_strength
+from scsr_opt.strength import (
+    _STAND_IN,
+    _held_out,
+    _typical,
+    _vertex,
+    noise_of_mean,
+    strength_of_noise,
+    validated_strength,
+)
 
 SCALE = 2
 
@@ -48,6 +64,19 @@ def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
     rows, columns = np.mgrid[0:96, 0:96] / 95.0
     stream = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
     assert validated(stream) > 2 * strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
+
+
+def test_huber_total_variation_stands_in_for_a_ridge_regulariser():
+    """On the smooth and dim picture above, where the floor does not decide."""
+    rows, columns = np.mgrid[0:96, 0:96] / 95.0
+    stream = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
+    learned, noise = RidgeRegulariser.load(), noise_of_mean(stream)
+    of_learned, of_huber = (
+        validated(stream, prior=prior) / strength_of_noise(noise, SCALE, prior)
+        for prior in (learned, HuberTotalVariation())
+    )
+    assert of_learned > 1
+    np.testing.assert_allclose(of_learned, _STAND_IN * of_huber, rtol=1e-5)
 
 
 def test_a_textured_picture_by_day_is_left_near_the_strength_of_its_noise():
@@ -161,9 +190,21 @@ def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
     assert 0 < by_time.min() and by_time.max() < 0.6
 
 
-@pytest.mark.parametrize(("length", "part", "found"), [(10, 4, slice(3, 7)), (5, 8, slice(0, 5)), (7, 4, slice(1, 5))])
-def test_the_middle(length, part, found):
-    assert _middle(length, part) == found
+@pytest.mark.parametrize(
+    ("shape", "side", "found"),
+    [((20, 8), 4, (slice(8, 12), slice(2, 6))), ((5, 3), 8, (slice(0, 5), slice(0, 3))), ((1, 9), 4, (slice(0, 1),))],
+)
+def test_of_an_even_picture_the_middle_is_typical(shape, side, found):
+    parts = _typical(np.ones((2 * shape[0], 2 * shape[1]), np.float32), 2, side)
+    assert parts[: len(found)] == found
+
+
+def test_a_plain_middle_is_not_typical():
+    """Half of the picture is textured, the middle is not: a part on the edge of the texture is as rich as the mean."""
+    image = np.random.default_rng(0).random((120, 120), np.float32)
+    image[:, :80] = 0.5
+    rows, columns = _typical(image, 1, 40)
+    assert columns.start < 80 < columns.stop
 
 
 def test_the_vertex_of_a_parabola():

@@ -27,6 +27,10 @@ from scsr_opt.motion.trust import trusted
 # for all.
 _TOLERATED_AT_REST = 0.001
 _TOLERATED_GLOBAL = 0.01
+# The share of the sensor that has to be certainly at rest for that to rule out one motion for all: of slow pans, by
+# half a sensor pixel to one and a half over the recording, up to 0.03 was taken to rest; of scenes with an object
+# before a background 0.16 and more.
+_RESTING = 0.05
 # What must be left of what contradicted the background, at most, for anything richer to be believed.
 _HELPS = 0.8
 # What it must miss of the pictures around there, beside what the background misses: more numbers always fit a little
@@ -112,7 +116,7 @@ def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w
     """
     rests = cast(np.ndarray, ndimage.binary_opening(rests, iterations=2))  # single pixels may be wrong
     places = np.argwhere(rests)
-    if not moving.any() or len(places) < 3 or (np.ptp(places, axis=0) == 0).any():
+    if not moving.any() or len(places) < max(3, _RESTING * rests.size) or (np.ptp(places, axis=0) == 0).any():
         return False
     try:
         sides = ConvexHull(places).equations

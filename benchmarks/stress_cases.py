@@ -43,8 +43,9 @@ ITERATIONS = 80
 @dataclass(frozen=True)
 class Case:
     """**Fields:** `family`: which part of the cases it belongs to. `kind`: what is done, "solve" (`run`), "reconstruct"
-    (the whole way from spikes), "descent" (ISTA step by step), "gradient" (through the solution), "vmap" (several at a
-    time). The others are the axes. `step`: β as a multiple of 1/L, None for the solver's own; `lens`: standard
+    (the whole way from spikes, motion and strength handed in), "defaults" (the same with nothing handed in but the
+    recording), "descent" (ISTA step by step), "gradient" (through the solution), "vmap" (several at a time). The others
+    are the axes. `step`: β as a multiple of 1/L, None for the solver's own; `lens`: standard
     deviation of its blur in high-resolution pixels; `seed`: of the recording."""
 
     family: str
@@ -297,6 +298,30 @@ def _door(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
             yield door(motion=motion, light=light, prior="ridge")
 
 
+def _defaults(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
+    """As most people call it: motion, gains, λ and prior are `reconstruct`'s to find and choose."""
+
+    def defaults(**axes: Any) -> Case:
+        return Case("", kind="defaults", seed=int(rng.integers(1 << 31)), **{"sensor": (24, 32), **axes})
+
+    true = ("diagonal", "static", "integer")
+    for light, motion in itertools.product(LIGHTS[::4] if quick else LIGHTS, true[:1] if quick else true):
+        yield defaults(light=light, motion=motion)
+    for bad, light in itertools.product((0.5, 1.0) if quick else BAD[1:], ("0.3", "0.01", "saturated")):
+        yield defaults(bad=bad, light=light)
+    if not quick:
+        for frames, light in itertools.product(FRAMES, ("0.3", "0.01", "all-zero", "all-one")):
+            yield defaults(frames=frames, light=light)
+        for sensor, scales in SIZES.items():
+            for scale, light in itertools.product(scales[::4], ("0.3", "all-one")):
+                yield defaults(sensor=sensor, scale=scale, light=light)
+        for scale, light in itertools.product((1, 4), LIGHTS[::2]):
+            yield defaults(scale=scale, light=light)
+        # Larger than the part that λ is validated on, whole and with few pixels left.
+        for bad, light in itertools.product((0.0, 0.9, 0.99), ("0.3", "0.1", "0.001")):
+            yield defaults(sensor=(136, 150), bad=bad, light=light)
+
+
 def _random(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     """Any value of any axis with any other."""
     allowed = [pair for pair in _pairs(quick) if pair[1] not in SLOW]
@@ -327,5 +352,6 @@ FAMILIES: dict[str, Callable[[np.random.Generator, bool], Iterator[Case]]] = {
     "gradients": _gradients,
     "vmap": _vmap,
     "door": _door,
+    "defaults": _defaults,
     "random": _random,
 }

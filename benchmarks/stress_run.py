@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -41,9 +42,7 @@ def examine(case: Case) -> Finding:
     """Does what the case says. Nothing is raised."""
     finding = Finding(case)
     try:
-        {"solve": _solve, "reconstruct": _door, "descent": _descent, "gradient": _gradient, "vmap": _vmap}[case.kind](
-            case, finding
-        )
+        _KINDS[case.kind](case, finding)
     except InputError as error:
         finding.outcome, finding.said = "refused", str(error)
         finding.checks["ends well"] = _has_to_be_refused(case)
@@ -248,14 +247,18 @@ def _batched(solver: Solver, numbers: Any, fixed: Any, image: Array, iterations:
 
 
 def _door(case: Case, finding: Finding) -> None:
-    """The whole way; the motion is the one that is said, as all of an estimate's is tested elsewhere."""
+    """The whole way, with the motion that is said and everything else handed in, or with the recording alone."""
     seen = situation(case)
+    given: dict[str, Any] = {}
+    if case.kind == "reconstruct":
+        solver = dataclasses.replace(SOLVERS[case.solver], iterations=case.iterations)
+        given = {"velocity": seen.velocity, "strength": case.strength, "prior": PRIORS[case.prior], "solver": solver}
+        given["optics"] = lens_of(case)
 
     def whole() -> Any:
         return reconstruct(
             seen.spikes, scale=case.scale, key=seen.key, frames=case.frames, white_rate=WHITE_RATE,
-            velocity=seen.velocity, bad_pixels=seen.bad, strength=case.strength, prior=PRIORS[case.prior],
-            solver=dataclasses.replace(SOLVERS[case.solver], iterations=case.iterations), optics=lens_of(case),
+            bad_pixels=seen.bad, **given,
         )  # fmt: skip
 
     first, second = whole(), whole()
@@ -264,3 +267,13 @@ def _door(case: Case, finding: Finding) -> None:
     finding.checks["ends well"] &= first.image.shape == picture_shape(case)
     finding.checks["ends well"] &= first.result.name != "no_samples" or not has_samples(seen)
     finding.checks["is the same again"] = np.array_equal(first.image, second.image)
+
+
+_KINDS: dict[str, Callable[[Case, Finding], None]] = {
+    "solve": _solve,
+    "reconstruct": _door,
+    "defaults": _door,
+    "descent": _descent,
+    "gradient": _gradient,
+    "vmap": _vmap,
+}

@@ -125,8 +125,8 @@ def validated_strength(
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
 
     Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A part of the picture
-    serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: one that is as rich in
-    contrast as the whole is in the mean. A lens makes that part the whole picture, as its blur is made for one size.
+    serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: the one whose contrast
+    is nearest to the mean of all. A lens makes that part the whole picture, as its blur is made for one size.
 
     **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
@@ -137,7 +137,8 @@ def validated_strength(
     """
     least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
-    rows, columns = _typical(np.asarray(image), scale, side)
+    good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
+    rows, columns = _typical(np.asarray(image), scale, side, good)
     part = Stream(
         stream.spikes[:, rows, columns],
         stream.key,
@@ -195,19 +196,23 @@ def validated_strength(
     return Validated(least * max(at_least, beyond * best), image if usable else None)
 
 
-def _typical(image: Float[np.ndarray, "H W"], scale: int, side: int) -> tuple[slice, slice]:
+def _typical(
+    image: Float[np.ndarray, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
+) -> tuple[slice, slice]:
     """The rows and columns, sensor pixels, of a part of up to `side` a side whose mean contrast in `image` is nearest
-    to that of all; of parts that overlap by half or more, in the order of their distance from the middle."""
+    to that of all; of parts that overlap by half or more, the one nearest to the middle among equals. Only `good`
+    pixels count, and parts with less than half their share of them are left out."""
+    height, width = good.shape
     down, right = (np.diff(image, axis=k, prepend=np.take(image, [0], k)) for k in (0, 1))
-    contrast = np.abs(down) + np.abs(right)
-    lengths = [length // scale for length in image.shape]
-    begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in lengths]
+    contrast = good * (np.abs(down) + np.abs(right)).reshape(height, scale, width, scale).mean((1, 3))
+    begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in good.shape]
     places = np.stack(np.meshgrid(*begins, indexing="ij"), -1).reshape(-1, 2).astype(int)
     places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
-    parts = [(slice(row, min(row + side, lengths[0])), slice(column, min(column + side, lengths[1])))
+    parts = [(slice(row, min(row + side, height)), slice(column, min(column + side, width)))
              for row, column in places.tolist()]  # fmt: skip
-    means = [contrast[_scaled(rows, scale), _scaled(columns, scale)].mean() for rows, columns in parts]
-    return parts[int(np.abs(np.asarray(means) - contrast.mean()).argmin())]
+    off = [abs(contrast[part].sum() / max(good[part].sum(), 1) - contrast.sum() / max(good.sum(), 1)) for part in parts]
+    few = [good[part].mean() < good.mean() / 2 for part in parts]
+    return parts[int(np.where(few, np.inf, off).argmin())]
 
 
 def _scaled(of: slice, scale: int) -> slice:

@@ -195,16 +195,20 @@ def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
     [((20, 8), 4, (slice(8, 12), slice(2, 6))), ((5, 3), 8, (slice(0, 5), slice(0, 3))), ((1, 9), 4, (slice(0, 1),))],
 )
 def test_of_an_even_picture_the_middle_is_typical(shape, side, found):
-    parts = _typical(np.ones((2 * shape[0], 2 * shape[1]), np.float32), 2, side)
+    parts = _typical(np.ones((2 * shape[0], 2 * shape[1]), np.float32), 2, side, np.ones(shape, bool))
     assert parts[: len(found)] == found
 
 
-def test_a_plain_middle_is_not_typical():
-    """Half of the picture is textured, the middle is not: a part on the edge of the texture is as rich as the mean."""
+def test_a_plain_middle_is_not_typical_nor_are_bad_pixels():
+    """A third of the picture is textured, the middle is not: the edge of the texture is as rich as the mean."""
     image = np.random.default_rng(0).random((120, 120), np.float32)
     image[:, :80] = 0.5
-    rows, columns = _typical(image, 1, 40)
+    good = np.ones((120, 120), bool)
+    rows, columns = _typical(image, 1, 40, good)
     assert columns.start < 80 < columns.stop
+    good[:, 60:] = False
+    rows, columns = _typical(image, 1, 40, good)
+    assert columns.start < 60
 
 
 def test_the_vertex_of_a_parabola():

@@ -27,9 +27,9 @@ from scsr_opt.motion.trust import trusted
 # for all.
 _TOLERATED_AT_REST = 0.001
 _TOLERATED_GLOBAL = 0.01
-# The share of the sensor that has to be certainly at rest for that to rule out one motion for all: of slow pans, by
-# half a sensor pixel to one and a half over the recording, up to 0.03 was taken to rest; of scenes with an object
-# before a background 0.16 and more.
+# The share of the sensor that has to be certainly at rest, single pixels aside, for that to rule out one motion for
+# all. Slow pans, by half a sensor pixel to one and a half over the recording, had up to 0.03 by mistake; scenes with an
+# object before a background have 0.16 and more.
 _RESTING = 0.05
 # What must be left of what contradicted the background, at most, for anything richer to be believed.
 _HELPS = 0.8
@@ -112,7 +112,8 @@ def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w
     """Do most of the moving pixels lie between or near pixels that are at rest?
 
     A component of an affine motion that is at most ε at some points is at most ε between them, and at most 3ε as far
-    outside as they are wide, about their middle. So no such motion explains both, and none has to be fitted.
+    outside as they are wide, about their middle. So no such motion explains both, and none has to be fitted. Where
+    less than `_RESTING` of the sensor rests, it may be by mistake.
     """
     rests = cast(np.ndarray, ndimage.binary_opening(rests, iterations=2))  # single pixels may be wrong
     places = np.argwhere(rests)

@@ -41,7 +41,7 @@ def test_everything_is_tried():
         ("strength", stress_cases.STRENGTHS), ("light", stress_cases.LIGHTS), ("motion", stress_cases.MOTIONS),
         ("bad", stress_cases.BAD), ("start", stress_cases.STARTS), ("step", stress_cases.STEPS),
         ("scale", stress_cases.SCALES), ("frames", stress_cases.FRAMES), ("sensor", stress_cases.SIZES),
-        ("lens", (1.0, 16.0)), ("kind", ("solve", "reconstruct", "descent", "gradient", "vmap")),
+        ("lens", (1.0, 16.0)), ("kind", ("solve", "reconstruct", "defaults", "descent", "gradient", "vmap")),
         ("iterations", (100_000,)),
     ):  # fmt: skip
         assert set(values) <= tried[name], name

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.bench_scaling import PARTS
 from benchmarks.bench_timing import ratios
@@ -90,6 +91,9 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
                 *places[name], marker="*" if star else "o", markersize=14 if star else 6, color=_COLOURS[kinds[name]]
             )
         axes.set(xscale="log", xlabel="seconds, compiled (by ratios to the default)", ylabel="PSNR, dB")
+        axes.xaxis.set_minor_formatter(NullFormatter())  # one power of ten may be all that there is
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.margins(x=0.15, y=0.1)
         axes.autoscale_view()
         axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
@@ -149,9 +153,9 @@ def _scaling(found: dict[str, Any]) -> Figure:
 def _roofline(found: dict[str, Any]) -> Figure:
     """Kernels whose operations are counted by hand; each has a copy of its own size to be compared with."""
     rows = [row for row in found["kernels"] if row["operations"]]
-    drawn = Figure(figsize=(7.5, 4.6), dpi=80, layout="constrained")
+    drawn = Figure(figsize=(10, 4.6), dpi=80, layout="constrained")
     axes = drawn.subplots()
-    density = np.logspace(-1, 1.5, 200)
+    density = np.logspace(-1, 2.5, 200)
     bandwidths = [bandwidth for _, bandwidth in found["copies"]]
     for bandwidth, style in ((max(bandwidths), "--"), (min(bandwidths), "-")):
         limit = np.minimum(density * bandwidth, found["peak_operations"]) / 1e9
@@ -164,6 +168,6 @@ def _roofline(found: dict[str, Any]) -> Figure:
         marker = "osv^D"[number // 10 % 5]
         axes.plot(*at, marker, color=f"C{number % 10}", label=f"{row['kernel']}, {100 * row['share']:.0f} %")
     axes.set(xlabel="operations for each byte that has to move", ylabel="Gop/s")
-    axes.legend(fontsize=7, loc="lower right")
+    drawn.legend(fontsize=8, loc="outside right center", frameon=False)
     axes.grid(alpha=0.3)
     return drawn

@@ -45,8 +45,8 @@ class Case:
     """**Fields:** `family`: which part of the cases it belongs to. `kind`: what is done, "solve" (`run`), "reconstruct"
     (the whole way from spikes, motion and strength handed in), "defaults" (the same with nothing handed in but the
     recording), "descent" (ISTA step by step), "gradient" (through the solution), "vmap" (several at a time). The others
-    are the axes. `step`: β as a multiple of 1/L, None for the solver's own; `lens`: standard
-    deviation of its blur in high-resolution pixels; `seed`: of the recording."""
+    are the axes. `step`: β as a multiple of 1/L, None for the solver's own; `lens`: standard deviation of its blur in
+    high-resolution pixels; `seed`: of the recording."""
 
     family: str
     kind: str = "solve"

@@ -136,10 +136,13 @@ def _said_of_roofline(found: dict[str, Any]) -> list[str]:
 
 
 def _said_of_statements(found: dict[str, Any]) -> list[str]:
-    one, other = found["iteration"], found["accumulation"]
+    other = found["accumulation"]
     return [
-        f"one iteration at {one['shape'][0]}×{one['shape'][1]}: {1e3 * np.median(one['seconds']['fused']):.1f} ms, "
-        f"{one['ratio']['middle']:.2f} times as fast as unfused",
+        *(
+            f"one iteration of {one['solver']} at {one['shape'][0]}×{one['shape'][1]}: "
+            f"{1e3 * np.median(one['seconds']['fused']):.1f} ms, {one['ratio']['middle']:.2f} times as fast as unfused"
+            for one in found["iterations"]
+        ),
         f"M and c of {other['frames']} frames: {1e3 * np.median(other['seconds']['accumulate']):.0f} ms",
     ]
 

@@ -1,11 +1,8 @@
-"""Two statements with a benchmark of their own: what fusing an iteration is worth, and what M and c cost.
-
-`plain_iteration` is one iteration of the default solver with the default prior as it would be written without thinking
-of memory: each operator is compiled on its own, and nothing is fused across them. These are the same steps and give
-the same numbers (`tests/benchmarks/test_bench.py`).
-"""
+"""Two statements with a benchmark of their own: what fusing an iteration is worth (`bench_plain` has the plain ones),
+and what M and c cost."""
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,34 +12,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.bench_cases import Size
-from benchmarks.bench_timing import in_turns, program, ratios
+from benchmarks.bench_plain import plain_condat_vu, plain_fista
+from benchmarks.bench_timing import in_turns, keeping_memory, program, ratios
 from benchmarks.frames import VELOCITY, recording
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place
-from scsr_opt.priors import Dual, HuberTotalVariation
-from scsr_opt.priors.analysis import dual_cycles
-from scsr_opt.priors.total_variation import gradient, gradient_adjoint, to_unit_ball
+from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import Progress
-from scsr_opt.solvers import FISTA, Problem, Solver
-from scsr_opt.solvers.proximal_gradient import ProximalGradientState
+from scsr_opt.solvers import FISTA, CondatVu, Problem, Solver
 
 _ROUNDS = 15
+_IN_A_ROW = 10
+_ITERATIONS = {"FISTA": (FISTA(), plain_fista), "CondatVu": (CondatVu(), plain_condat_vu)}
+_WAYS = ("fused", "plain")
 SCALE = 4
-
-_minus = jax.jit(lambda x, y: x - y)
-_ahead_by = jax.jit(lambda a, x, y: x + a * y)
-_beyond = jax.jit(lambda x, a, y, b, z: x + a * (x - y) + b * (x - z))
-_inner = jax.jit(lambda x, y: jnp.sum(x * y))
-_norm = jax.jit(jnp.linalg.norm)
-_gradient = jax.jit(gradient)
-_gradient_adjoint = jax.jit(gradient_adjoint)
-_shorter = jax.jit(lambda dual, a: Dual(dual.down / a, dual.right / a))
-_ball = jax.jit(to_unit_ball)
-_apply = eqx.filter_jit(lambda operator, x: operator(x))
-_back = eqx.filter_jit(lambda operator, x: operator.adjoint(x))
-_value = eqx.filter_jit(lambda prior, field: jnp.sum(prior.penalties(field)))
 
 
 def problem_of(shape: tuple[int, int]) -> tuple[Problem, Float[Array, "H W"]]:
@@ -56,49 +41,22 @@ def problem_of(shape: tuple[int, int]) -> tuple[Problem, Float[Array, "H W"]]:
     return Problem(data, HuberTotalVariation(), jnp.float32(1e-3)), jax.random.uniform(image, shape)
 
 
-def plain_iteration(problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, tuple[Array, ...]]:
-    """One iteration of `FISTA` with `HuberTotalVariation`, operator by operator; and f, λΨ and the residual."""
-    data, prior, step = problem.data, problem.prior, state.step_size
-    assert isinstance(prior, HuberTotalVariation) and data.optics is None
-    before = _ahead_by(-step, state.ahead, state.ahead_gradient)
-    image, dual = _plain_prox(prior, before, step * problem.strength, state.prior)
-    u = _apply(data.aperture, image)
-    rest = _minus(_apply(data.stencil, u), data.target)
-    value = 0.5 * (_inner(u, rest) - _inner(u, data.target) + data.energy)
-    slope = _back(data.aperture, rest)
-    penalty = problem.strength * _value(prior, _gradient(image))
-    residual = _norm(_minus(image, state.ahead)) / _norm(image)
-    objective = value + penalty
-    uphill = _inner(_minus(state.ahead, image), _minus(image, state.image)) > 0
-    uphill |= objective > state.objective
-    t = jnp.where(uphill, 1, state.momentum)
-    following = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
-    along, beyond = jnp.where(uphill, 0, (t - 1) / following), jnp.where(uphill, 0, t / following)
-    after = ProximalGradientState(
-        image=image, gradient=slope, gradient_step=before, momentum=following, objective=objective, prior=dual,
-        ahead=_beyond(image, along, state.image, beyond, state.ahead),
-        ahead_gradient=_beyond(slope, along, state.gradient, beyond, state.ahead_gradient), step_size=step,
-    )  # fmt: skip
-    return after, (value, penalty, residual)
-
-
-def _plain_prox(prior: HuberTotalVariation, image: Array, strength: Array, state: Dual) -> tuple[Array, Dual]:
-    """The dual steps of `Analysis.prox`, one operator after the other."""
-    cycles, lengths = dual_cycles(prior.iterations)
-    assert cycles == 1  # no momentum, then
-    dual = state
-    for length in lengths:
-        step = length / (prior.norm_squared * strength)
-        field = _gradient(_ahead_by(-strength, image, _gradient_adjoint(dual)))
-        moved = Dual(*(_ahead_by(step, p, z) for p, z in zip(dual, field, strict=True)))
-        dual = _ball(_shorter(moved, 1 + step * prior.knee))
-    return _ahead_by(-strength, image, _gradient_adjoint(dual)), dual
-
-
 @eqx.filter_jit
 def fused_iteration(solver: Solver, problem: Problem, state: Any) -> Any:
     """One iteration as the solver does it, in one program."""
     return solver.step(problem, state)
+
+
+@eqx.filter_jit
+def fused_iterations(solver: Solver, problem: Problem, state: Any) -> Any:
+    """`_IN_A_ROW` of them, as a solve has them: in one loop that is compiled whole."""
+    return jax.lax.fori_loop(1, _IN_A_ROW, lambda _, now: solver.step(problem, now[0]), solver.step(problem, state))
+
+
+def _plain_iterations(plain: Callable[..., Any], problem: Problem, state: Any) -> Any:
+    for _ in range(_IN_A_ROW):
+        state, said = plain(problem, state)
+    return state, said
 
 
 @eqx.filter_jit
@@ -137,20 +95,26 @@ def plain_accumulation(placed: PlacedSamples) -> tuple[Float[np.ndarray, "5 H W"
 
 
 def measure(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
-    """`iteration` and `accumulation`, each with the seconds of both ways in turns, ready for JSON."""
+    """`iterations`, one for each solver, and `accumulation`, each with the seconds of both ways in turns, ready for
+    JSON. An iteration is a tenth of ten in a row."""
     progress.start(2, "statements")
     try:
         problem, image = problem_of(size.picture)
-        state, solver = first_state(FISTA(), problem, image), FISTA()
-        calls = {
-            "fused": lambda: fused_iteration(solver, problem, state), "plain": lambda: plain_iteration(problem, state),
-        }  # fmt: skip
-        taken = _in_turns(calls, _ROUNDS)
-        told = program(fused_iteration, solver, problem, state)
-        iteration = {
-            "shape": list(size.picture), "seconds": taken, "ratio": ratios(taken["plain"], taken["fused"])._asdict(),
-            "fusions": told.fusions, "moved": told.moved, "flops": told.flops,
-        }  # fmt: skip
+        calls, programs = {}, {}
+        for name, (solver, plain) in _ITERATIONS.items():
+            state = first_state(solver, problem, image)
+            programs[name] = program(fused_iteration, solver, problem, state)
+            calls[name, "fused"] = functools.partial(fused_iterations, solver, problem, state)
+            calls[name, "plain"] = functools.partial(_plain_iterations, plain, problem, state)
+        taken = {name: [one / _IN_A_ROW for one in some] for name, some in _in_turns(calls, _ROUNDS).items()}
+        iterations = [
+            {
+                "solver": name, "shape": list(size.picture), "seconds": {way: taken[name, way] for way in _WAYS},
+                "ratio": ratios(taken[name, "plain"], taken[name, "fused"])._asdict(),
+                "fusions": told.fusions, "moved": told.moved, "flops": told.flops,
+            }
+            for name, told in programs.items()
+        ]  # fmt: skip
         progress.advance(1)
         frames, height, width, scale = size.accumulated
         placed = placed_of(frames, height, width, scale)
@@ -164,10 +128,11 @@ def measure(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
         progress.advance(1)
     finally:
         progress.finish()
-    return {"iteration": iteration, "accumulation": accumulation}
+    return {"iterations": iterations, "accumulation": accumulation}
 
 
-def _in_turns(calls: dict[str, Any], rounds: int) -> dict[str, list[float]]:
-    for call in calls.values():
-        jax.block_until_ready(call())
-    return in_turns(calls, rounds)
+def _in_turns(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, list[float]]:
+    with keeping_memory():
+        for call in calls.values():
+            jax.block_until_ready(call())
+        return in_turns(calls, rounds)

@@ -204,16 +204,21 @@ def _roofline(found: dict[str, Any]) -> list[str]:
 
 
 def _statements(found: dict[str, Any]) -> list[str]:
-    one, other = found["iteration"], found["accumulation"]
-    moved = "" if one["moved"] is None else f" In one program it is {one['fusions']} fused kernels"
-    moved += "" if one["moved"] is None else f", which move {one['moved'] / _MEGA:.0f} MB by XLA's count."
+    other = found["accumulation"]
     rate = other["samples"] / float(np.median(other["seconds"]["accumulate"])) / _MEGA
+
+    def fused(one: dict[str, Any]) -> str:
+        moved = "" if one["moved"] is None else f", which move {one['moved'] / _MEGA:.0f} MB by XLA's count"
+        return (
+            f"**One iteration of `{one['solver']}` with Huber-TV at {one['shape'][0]}×{one['shape'][1]}** takes "
+            f"{milliseconds(one['seconds']['fused'])} ms in one program and {milliseconds(one['seconds']['plain'])} ms "
+            f"operator by operator, {_with_quartiles(Spread(**one['ratio']))} times as long (round by round; median "
+            f"and quartiles). In one program it is {one['fusions']} fused kernels{moved}."
+        )
+
     return [
         "### Two statements",
-        f"**One iteration of the default solver with Huber-TV at {one['shape'][0]}×{one['shape'][1]}** takes "
-        f"{milliseconds(one['seconds']['fused'])} ms in one program and {milliseconds(one['seconds']['plain'])} ms "
-        f"operator by operator, {_with_quartiles(Spread(**one['ratio']))} times as long (round by round; median and "
-        f"quartiles).{moved}",
+        *map(fused, found["iterations"]),
         f"**M and c of {other['frames']} frames of {other['sensor'][1]}×{other['sensor'][0]} at ×{other['scale']}** "
         f"({other['samples']} samples) are accumulated in {milliseconds(other['seconds']['accumulate'])} ms, "
         f"{rate:.0f} million samples a second; by NumPy's `bincount` in {milliseconds(other['seconds']['numpy'])} ms, "

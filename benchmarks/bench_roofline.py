@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.bench_cases import Size
 from benchmarks.bench_iteration import SCALE, first_state, fused_iteration, placed_of, problem_of
-from benchmarks.bench_timing import in_turns, program
+from benchmarks.bench_timing import in_turns, keeping_memory, program
 from scsr_opt.motion.alignment import drift
 from scsr_opt.operators.sampling import accumulate, with_exposure
 from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser
@@ -163,9 +163,10 @@ def measure(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
         matrix = jnp.ones((_MATRIX, _MATRIX)) / _MATRIX
         product = jax.jit(lambda a: a @ a)
         calls |= _copies({row["touched"] for row in rows}) | {"product": lambda: product(matrix)}
-        for call in calls.values():
-            jax.block_until_ready(call())
-        taken = in_turns(calls, _ROUNDS)
+        with keeping_memory():
+            for call in calls.values():
+                jax.block_until_ready(call())
+            taken = in_turns(calls, _ROUNDS)
         progress.advance(1)
     finally:
         progress.finish()

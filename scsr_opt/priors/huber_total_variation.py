@@ -30,7 +30,7 @@ class HuberTotalVariation(Analysis[Dual]):
     """
 
     smooth: ClassVar[bool] = True
-    reach: ClassVar[int | None] = 1
+    coupled: ClassVar[bool] = True
 
     knee: float = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
@@ -62,5 +62,5 @@ class HuberTotalVariation(Analysis[Dual]):
 
     def conjugate_prox(self, field: Dual, step: Float[Array, ""]) -> Dual:
         """The field shortened by 1 + step·δ, then the nearest one within the unit ball at each pixel."""
-        longer = 1 + step * self.knee  # divided by for the reason in `Analysis.prox_within`
-        return to_unit_ball(Dual(field.down / longer, field.right / longer))
+        shorter = 1 / (1 + step * self.knee)
+        return to_unit_ball(Dual(shorter * field.down, shorter * field.right))

@@ -40,7 +40,7 @@ class TotalVariation(Analysis[Dual]):
     **Errors:** `InputError` for fewer than one iteration.
     """
 
-    reach: ClassVar[int | None] = 1
+    coupled: ClassVar[bool] = True
 
     isotropic: bool = eqx.field(static=True)
     iterations: int = eqx.field(static=True)

@@ -17,15 +17,13 @@ from scsr_opt.solvers.stopping import FixedPoint, Stopping
 
 class PrimalDualState(NamedTuple):
     """Changes every iteration: `image` X, `dual` p and `back` K*p; and the relaxed point that the next iteration starts
-    from: `ahead`, `ahead_gradient` ∇f there, `ahead_field` K of it, `ahead_dual`, `ahead_back`. Fixed when the run
-    begins: `lipschitz` L."""
+    from: `ahead`, `ahead_gradient` ∇f there, `ahead_dual`, `ahead_back`. Fixed when the run begins: `lipschitz` L."""
 
     image: Float[Array, "H W"]
     dual: Dual
     back: Float[Array, "H W"]
     ahead: Float[Array, "H W"]
     ahead_gradient: Float[Array, "H W"]
-    ahead_field: Any
     ahead_dual: Dual
     ahead_back: Float[Array, "H W"]
     lipschitz: Float[Array, ""]
@@ -60,10 +58,10 @@ class _PrimalDual(Solver[PrimalDualState]):
 
     def _begin(self, problem: Problem, image: Float[Array, "H W"], dual: Dual) -> PrimalDualState:
         splitting = splitting_of(problem.prior)
-        back, field = splitting.adjoint(dual.field), splitting.analysis(image)
+        back = splitting.adjoint(dual.field)
         lipschitz = lipschitz_bound(problem.data)
         gradient = problem.data.gradient(image)
-        return PrimalDualState(image, dual, back, image, gradient, field, dual, back, lipschitz)
+        return PrimalDualState(image, dual, back, image, gradient, dual, back, lipschitz)
 
     def step(self, problem: Problem, state: PrimalDualState) -> tuple[PrimalDualState, Record]:
         splitting, λ, over = splitting_of(problem.prior), problem.strength, self._over
@@ -71,8 +69,7 @@ class _PrimalDual(Solver[PrimalDualState]):
         image = state.ahead + self._move(problem, state.ahead_gradient + λ * state.ahead_back, τ)
         data, gradient = problem.data.value_and_gradient(image)
         field = splitting.analysis(image)
-        mirrored = jax.tree.map(lambda new, old: 2 * new - old, field, state.ahead_field)
-        dual = splitting.ascend(state.ahead_dual, mirrored, λ, σ)
+        dual = splitting.ascend(state.ahead_dual, splitting.analysis(2 * image - state.ahead), λ, σ)
         back = splitting.adjoint(dual.field)
         penalty, evidence = splitting.evidence(image, field, data, gradient + λ * back, dual, λ, 1 / state.lipschitz)
 
@@ -86,7 +83,6 @@ class _PrimalDual(Solver[PrimalDualState]):
             back=back,
             ahead=relaxed(image, state.ahead),
             ahead_gradient=relaxed(gradient, state.ahead_gradient),
-            ahead_field=relaxed(field, state.ahead_field),
             ahead_dual=dual._replace(field=relaxed(dual.field, state.ahead_dual.field)),
             ahead_back=relaxed(back, state.ahead_back),
             lipschitz=state.lipschitz,

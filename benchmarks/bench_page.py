@@ -157,7 +157,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
 
 def _scaling(found: dict[str, Any]) -> list[str]:
     head = [
-        "frames", "sensor", "samples", *(f"{part}, s" for part in PARTS), "iterations", "ms an iteration",
+        "frames", "sensor", "samples", *(f"{part}, s" for part in PARTS), "iterations", "ms an iteration (quartiles)",
         "first call, s", "memory, MB",
     ]  # fmt: skip
 
@@ -165,7 +165,7 @@ def _scaling(found: dict[str, Any]) -> list[str]:
         parts = [f"{np.median([one[part] for one in row['seconds']]):.3f}" for part in PARTS]
         return [
             str(row["frames"]), f"{row['side']}×{row['side']}", f"{row['samples']}", *parts, str(row["iterations"]),
-            f"{_MILLI * np.median(row['iteration_seconds']):.2f}", f"{row['first_seconds']:.1f}",
+            milliseconds(row["iteration_seconds"]), f"{row['first_seconds']:.1f}",
             "–" if row["peak"] is None else f"{row['peak'] / _MEGA:.0f}",
         ]  # fmt: skip
 

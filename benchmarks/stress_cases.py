@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.stress_methods import ANALYSIS, PRIORS, SLOW, SMOOTH, SOLVERS
+from benchmarks.stress_methods import ANALYSIS, BOUNDED_STEPS, PRIORS, SLOW, SMOOTH, SOLVERS
 
 # bfloat16: M and c rounded to it and the arithmetic in float32, which is what storing them so amounts to.
 PRECISIONS = ("float64", "float32", "bfloat16")
@@ -45,8 +45,8 @@ class Case:
     """**Fields:** `family`: which part of the cases it belongs to. `kind`: what is done, "solve" (`run`), "reconstruct"
     (the whole way from spikes, motion and strength handed in), "defaults" (the same with nothing handed in but the
     recording), "descent" (ISTA step by step), "gradient" (through the solution), "vmap" (several at a time). The others
-    are the axes. `step`: β as a multiple of 1/L, None for the solver's own; `lens`: standard deviation of its blur in
-    high-resolution pixels; `seed`: of the recording."""
+    are the axes. `step`: β as a multiple of 1/L, or ADMM's ρ of its first one, None for the solver's own; `lens`:
+    standard deviation of its blur in high-resolution pixels; `seed`: of the recording."""
 
     family: str
     kind: str = "solve"
@@ -161,7 +161,10 @@ def _steps(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     made = (
         Case("", solver=solver, prior=prior, step=step, start=start, seed=int(rng.integers(1 << 31)))
         for solver, prior, step, start in itertools.product(
-            ("ISTA", "FISTA"), ("TV",) if quick else ("TV", "Huber-TV"), STEPS, ("grey",) if quick else ("grey", "1e12")
+            BOUNDED_STEPS if quick else (*BOUNDED_STEPS, "ADMM"),
+            ("TV",) if quick else ("TV", "Huber-TV"),
+            STEPS,
+            ("grey",) if quick else ("grey", "1e12"),
         )
     )
     return _in_each(PRECISIONS[1:] if quick else PRECISIONS, made)
@@ -334,7 +337,7 @@ def _random(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
         yield Case(
             "", solver=solver, prior=prior, precision=some(PRECISIONS), light=some(LIGHTS), motion=some(MOTIONS),
             bad=some(BAD) if rng.random() < 0.5 else 0.0, strength=10 ** rng.uniform(-9, 4), start=some(STARTS),
-            step=some(STEPS) if solver in ("ISTA", "FISTA") and rng.random() < 0.3 else None,
+            step=some(STEPS) if solver in (*BOUNDED_STEPS, "ADMM") and rng.random() < 0.3 else None,
             seed=int(rng.integers(1 << 31)),
         )  # fmt: skip
 

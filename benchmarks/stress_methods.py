@@ -24,7 +24,11 @@ SOLVERS: dict[str, Solver] = {
     "FISTA, duality gap": solvers.FISTA(stopping=solvers.DualityGap()),
     "ADMM": solvers.ADMM(),
     "CondatVu": solvers.CondatVu(),
+    "CondatVu, balance 0.01": solvers.CondatVu(balance=solvers.Balance(0.01)),
+    "CondatVu, balance 100": solvers.CondatVu(balance=solvers.Balance(100)),
     "ChambollePock": solvers.ChambollePock(),
+    "ChambollePock, balance 0.01": solvers.ChambollePock(balance=solvers.Balance(0.01)),
+    "ChambollePock, balance 100": solvers.ChambollePock(balance=solvers.Balance(100)),
     "JaxoptISTA": solvers.JaxoptISTA(),
     "JaxoptFISTA": solvers.JaxoptFISTA(),
     "JaxoptADMM": solvers.JaxoptADMM(),
@@ -32,6 +36,8 @@ SOLVERS: dict[str, Solver] = {
     "LBFGS": solvers.LBFGS(),
 }
 SMOOTH = ("NonlinearCG", "LBFGS")
+# Whose β may be above its bound; the others' steps follow from what bounds them.
+BOUNDED_STEPS = ("ISTA", "FISTA")
 PRIORS: dict[str, Prior] = {
     "TV": priors.TotalVariation(),
     "anisotropic TV": priors.TotalVariation(isotropic=False),

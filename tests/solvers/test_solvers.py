@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from scsr_opt import solvers
 from scsr_opt.errors import InputError
-from scsr_opt.priors import Bounded, TotalVariation
+from scsr_opt.priors import Bounded, HuberTotalVariation, TotalVariation
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers import FISTA, ISTA, JaxoptFISTA, JaxoptISTA, Outcome, Problem, Result, lipschitz_bound, run
 from scsr_opt.solvers import iterate as loop
@@ -48,6 +49,19 @@ def test_all_solvers_find_the_same_minimum(name, case, minimum, solved):
 def test_the_problem_itself_is_the_written_out_one(case, minimum):
     value = float(case.problem.data.value(jnp.asarray(minimum, jnp.float32))) + case.penalty(minimum)
     assert value == pytest.approx(case.objective(minimum), rel=2e-5)
+
+
+@pytest.mark.parametrize(
+    "make", [ISTA, FISTA, JaxoptISTA, JaxoptFISTA, solvers.ADMM, solvers.JaxoptADMM, solvers.CondatVu,
+             solvers.ChambollePock, solvers.LBFGS, solvers.NonlinearCG]
+)  # fmt: skip
+def test_without_samples_the_prior_makes_a_picture_of_the_first_one(make, case):
+    """L is 0 then. A step that were 1/L would overflow in λ·step, however small λ is."""
+    nothing = jax.tree.map(jnp.zeros_like, case.problem.data)
+    first = jnp.asarray(np.random.default_rng(0).random(case.start.shape), jnp.float32)
+    outcome = run(make(iterations=40), Problem(nothing, HuberTotalVariation(), jnp.float32(1e-3)), first)
+    assert outcome.result.good and np.isfinite(outcome.image).all()
+    assert outcome.stages[-1].objective < outcome.stages[0].objective or outcome.result is Result.converged
 
 
 @pytest.mark.parametrize("name", ["ISTA", "jaxopt ISTA"])

@@ -31,7 +31,8 @@ _SENSOR = 20
 _ACCUMULATED = (41, 24, 32, 4)
 _HUBER, _RIDGE = HuberTotalVariation(), RidgeRegulariser.load()
 _SOLVERS: dict[str, tuple[Solver, Prior]] = {
-    "FISTA": (FISTA(), _HUBER), "ADMM": (solvers.ADMM(), _HUBER), "LBFGS": (solvers.LBFGS(), _HUBER),
+    "FISTA": (FISTA(), _HUBER), "CondatVu": (solvers.CondatVu(), _HUBER), "ADMM": (solvers.ADMM(), _HUBER),
+    "LBFGS": (solvers.LBFGS(), _HUBER),
     "FISTA, ridge": (FISTA(), _RIDGE),
 }  # fmt: skip
 

@@ -158,7 +158,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
 def _scaling(found: dict[str, Any]) -> list[str]:
     head = [
         "frames", "sensor", "samples", *(f"{part}, s" for part in PARTS), "iterations", "ms an iteration (quartiles)",
-        "first call, s", "memory, MB",
+        "first call, s", "memory, MB", "PSNR, dB", "SSIM",
     ]  # fmt: skip
 
     def line(row: dict[str, Any]) -> list[str]:
@@ -166,7 +166,7 @@ def _scaling(found: dict[str, Any]) -> list[str]:
         return [
             str(row["frames"]), f"{row['side']}×{row['side']}", f"{row['samples']}", *parts, str(row["iterations"]),
             milliseconds(row["iteration_seconds"]), f"{row['first_seconds']:.1f}",
-            "–" if row["peak"] is None else f"{row['peak'] / _MEGA:.0f}",
+            "–" if row["peak"] is None else f"{row['peak'] / _MEGA:.0f}", f"{row['psnr']:.2f}", f"{row['ssim']:.3f}",
         ]  # fmt: skip
 
     parts = ["### How it grows"]

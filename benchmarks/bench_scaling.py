@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from benchmarks.bench_cases import FRAMES, Size, recorded, recording_of
+from benchmarks.bench_cases import FRAMES, Size, quality, recorded, recording_of
 from benchmarks.bench_timing import Peak, compiling_anew, memory_available
 from scsr_opt import reconstruct
 from scsr_opt.progress import Progress
@@ -11,7 +11,7 @@ SCALE = 2
 PARTS = ("reading", "motion", "samples", "strength", "solving")
 # Of the usual speed: even 2,000 frames then move by 28 pixels only, and what is seen stays on the sensor.
 _SPEED = 0.1
-_ROUNDS = 2
+_ROUNDS = 3
 # A sample takes about 100 bytes while it is made and placed, a pixel fires in at most 0.6 of the frames, and a picture
 # has about 40 numbers for each of its pixels. Of what is free, this share is taken at most.
 _BYTES_A_SPIKE, _NUMBERS_A_PIXEL, _SHARE = 100, 40, 0.5
@@ -46,18 +46,19 @@ def measure(size: Size, seed: int, progress: Progress) -> dict[str, list[dict[st
 def _row(frames: int, side: int, seed: int) -> dict[str, Any]:
     made = recorded("camera", scale=SCALE, sensor=side, frames=frames, speed=_SPEED, seed=seed)
     recording, peak, seconds, compiled = recording_of(made), Peak(), [], 0.0
-    stats: dict[str, Any] = {}
     for number in range(_ROUNDS + 1):
         with compiling_anew():
-            stats = reconstruct(recording, scale=SCALE, frames=frames).stats
+            solution = reconstruct(recording, scale=SCALE, frames=frames)
+        stats = solution.stats
         if number:
             seconds.append(stats["seconds"])
         else:
             compiled = sum(stats["seconds"].values())
     peak.reset()
-    reconstruct(recording, scale=SCALE, frames=frames)
+    solution = reconstruct(recording, scale=SCALE, frames=frames)
+    stats, (ratio, likeness) = solution.stats, quality(made.truth(frames // 2), solution.image, SCALE)
     return {
         "frames": frames, "side": side, "samples": stats["samples"], "iterations": stats["iterations"],
-        "first_seconds": compiled, "seconds": seconds, "peak": peak.read(),
+        "psnr": ratio, "ssim": likeness, "first_seconds": compiled, "seconds": seconds, "peak": peak.read(),
         "iteration_seconds": [one["solving"] / stats["iterations"] for one in seconds],
     }  # fmt: skip

@@ -3,7 +3,7 @@
 The axes are those that have made reconstructions fail, or could: precision, scale, odd and tiny sizes, number of
 frames, light, motion, bad pixels, lens, strength, step size, first picture, number of iterations, and every solver with
 every prior. Each is a list of values from harmless to absurd. A part of the cases is a grid over two or three axes, a
-part goes through all lists in turns, a part is drawn at random (NumPy's generator, from the seed).
+part goes through the lists of what is data in turns, a part draws it at random (NumPy's generator, from the seed).
 
 Compiling is what costs time: a program belongs to a solver, a prior, a shape and a precision, and everything else is
 data. So cases that share a program are run one after another, and there are many of each.
@@ -170,6 +170,18 @@ def _steps(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     return _in_each(PRECISIONS[1:] if quick else PRECISIONS, made)
 
 
+def _frames(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
+    made = (
+        Case("", solver=solver, frames=frames, light=light, motion=motion, seed=int(rng.integers(1 << 31)))
+        for solver, frames, (light, motion) in itertools.product(
+            ("FISTA",) if quick else ("FISTA", "CondatVu"),
+            FRAMES[:2] if quick else FRAMES,
+            (("0.3", "diagonal"), ("all-one", "static"), ("0.01", "rows only")),
+        )
+    )
+    return _in_each(PRECISIONS, made)
+
+
 def _descent(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     made = (
         Case("", kind="descent", solver="ISTA", prior=prior, step=step, light=light, strength=strength, seed=seed)
@@ -196,7 +208,7 @@ def _sizes(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
     tiny = (
         Case("", solver=solver, prior=prior, sensor=sensor, light="0.3", iterations=40, seed=7)
         for sensor, (solver, prior) in itertools.product(
-            ((1, 1), (3, 5)), () if quick else [(s, p) for s, p in _pairs(False) if s in ("FISTA", "CondatVu")]
+            ((1, 1), (3, 5)), () if quick else [(s, p) for s, p in _pairs(False) if s == "FISTA" or p == "Huber-TV"]
         )
     )
     return _in_each(PRECISIONS[1:], itertools.chain(made, tiny))
@@ -326,7 +338,8 @@ def _defaults(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
 
 
 def _random(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
-    """Any value of any axis with any other."""
+    """Any value of an axis with any of the others; those for which nothing is compiled anew: not sensor, scale, lens
+    and iterations."""
     allowed = [pair for pair in _pairs(quick) if pair[1] not in SLOW]
 
     def some(values: Any) -> Any:
@@ -336,6 +349,7 @@ def _random(rng: np.random.Generator, quick: bool) -> Iterator[Case]:
         solver, prior = some(allowed)
         yield Case(
             "", solver=solver, prior=prior, precision=some(PRECISIONS), light=some(LIGHTS), motion=some(MOTIONS),
+            frames=some(FRAMES) if rng.random() < 0.5 else 41,
             bad=some(BAD) if rng.random() < 0.5 else 0.0, strength=10 ** rng.uniform(-9, 4), start=some(STARTS),
             step=some(STEPS) if solver in (*BOUNDED_STEPS, "ADMM") and rng.random() < 0.3 else None,
             seed=int(rng.integers(1 << 31)),
@@ -349,6 +363,7 @@ FAMILIES: dict[str, Callable[[np.random.Generator, bool], Iterator[Case]]] = {
     "steps": _steps,
     "descent": _descent,
     "sizes": _sizes,
+    "frames": _frames,
     "conditioning": _conditioning,
     "lenses": _lenses,
     "long": _long,

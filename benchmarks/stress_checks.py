@@ -16,7 +16,10 @@ the ρ that a solver reports keeps this promise in finite precision, where r dif
     ‖e‖ ≤ k·u ‖Bᵀ(M B|X| + c)‖ + k·u (‖X‖ + ‖R‖ + βλ‖K‖‖p‖)/β,     k = a + d,                                       (2)
 
 the first from ∇f, the second from putting X and R together. a is how many numbers were added up for an entry of M or c
-(known), d = 2·(9 + 4s + taps of the lens) + 32 the longest chain from a picture to its gradient and a step from there.
+(known), d = 2·(9 + 4s + taps of the lens) + 32 the longest chain from a picture to its gradient and a step from there:
+a product and a sum for each of the 9 numbers of M, each of the 4s that sliding sums add up on the way to U and back,
+and each tap; then a step with its dual step and its extrapolation, which are fewer than 32 operations in a row (3 for
+K*p, 3 for the picture, 1 for K, 9 for a dual step, 6 for the relaxed point, a few for R and the ridge's curvature).
 FISTA carries ∇f along from iteration to iteration, with a factor below 1 and coefficients up to 4 in all, so that k
 grows by 4 in each; a line search expands about the first picture, and everything else begins there: |X| is taken as at
 least as large as that. M and c in bfloat16 change by 2⁻⁸ of themselves, which adds 2⁻⁸‖Bᵀ(M B|X| + c)‖. With Y in the

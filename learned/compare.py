@@ -1,8 +1,8 @@
 """Optimizer and network side by side, stage by stage, on one recording and by one measure: Eq. 4.
 
-The problem is posed once (`learned.posing`): motion, samples, strength λ, and as Ψ the prior that `reconstruct` has by
-default. Every X^(t) of every model is measured by it, whatever prior or network made it. Where the scene moves during
-exposures, f is taken exact at each X^(t), so that all are measured by the same f.
+The problem is posed once (`learned.posing`): motion, samples, strength λ, and Huber-TV as Ψ. Every X^(t) of every
+model is measured by it, whatever prior or network made it. Where the scene moves during exposures, f is taken exact
+at each X^(t), so that all are measured by the same f.
 """
 
 import math

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
-from scsr_opt.camera.measuring import Measuring
+from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
@@ -141,14 +141,14 @@ def measured(
     - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
-    - `merge`: whether intervals are merged where nothing moves; the picture is the same.
+    - `merge`: whether intervals are merged where nothing moves; the picture is the same. Windows are not.
     """
     frames, height, width = stream.spikes.shape
     path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
     fastest = path.fastest
     still_for = np.ones((height, width), np.int32)
-    if merge:
+    if merge and isinstance(measuring, Intervals):
         with np.errstate(divide="ignore", over="ignore"):
             still = _MERGED_MOTION / (scale * fastest)
             # A merged interval has one weight.

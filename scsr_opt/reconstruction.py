@@ -15,7 +15,8 @@ from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
-from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion, given
+from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
+from scsr_opt.motion.handed_in import checked, given
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.blur import Blur
@@ -109,6 +110,8 @@ def reconstruct(
     check_type(prior, Prior, "prior", "HuberTotalVariation()")
     prior = default_prior(scale) if prior is None else prior
     check_type(solver, Solver, "solver", "FISTA()")
+    solver = FISTA() if solver is None else solver
+    solver.check(prior)
     check_type(robust, Loss, "robust", "Huber()")
     lens = None if isinstance(optics, str) and optics == "estimate" else optics
     check_type(lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
@@ -137,8 +140,7 @@ def reconstruct(
     if isinstance(velocity, Estimator):
         motion = estimated(velocity, gains)
     elif isinstance(velocity, Motion):
-        given(velocity.velocity, height, width)  # of the right shape, and finite
-        motion = velocity
+        motion = checked(velocity, height, width)
     else:
         motion = given(velocity, height, width)
     clock.lap("motion")
@@ -150,12 +152,12 @@ def reconstruct(
         stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
         return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion)
     noise = noise_of_mean(stream)
-    plan = _plan(stream, motion, taken, noise) if skip else None
+    plan = _plan(stream, motion, taken, noise, measuring) if skip else None
     clock.lap("samples")
 
     by_noise = strength_of_noise(noise, scale, prior) if strength is None else strength
     rounds = Rounds(
-        solver=FISTA() if solver is None else solver,
+        solver=solver,
         prior=prior,
         strength=jnp.asarray(by_noise, jnp.float32),
         optics=lens,
@@ -203,7 +205,7 @@ def reconstruct(
         if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
             motion = estimated(velocity, gains)
             measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
-            plan = _plan(stream, motion, measured_as, noise) if skip else None
+            plan = _plan(stream, motion, measured_as, noise, measuring) if skip else None
             known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
             gains = measured_as.gain(stream, motion, found.blurred)
         taken = measured_as.with_gain(gains, known, noise)
@@ -238,9 +240,9 @@ def reconstruct(
     return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, plan)
 
 
-def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float) -> Plan:
+def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float, measuring: Measuring) -> Plan:
     samples = taken.samples
-    return plan_of(
+    plan = plan_of(
         stream.spikes,
         motion,
         taken.merged_for,
@@ -249,6 +251,8 @@ def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float) -> 
         used=np.asarray(taken.placed.weight)[: samples.row.size],
         noise=noise * stream.white_rate,
     )
+    # Nothing else is ever merged.
+    return plan if isinstance(measuring, Intervals) else replace(plan, intervals=plan.samples)
 
 
 class _Clock:

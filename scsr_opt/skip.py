@@ -91,11 +91,9 @@ class Plan:
 
     def lines(self) -> list[str]:
         """What was skipped and why, for people."""
-        saved = 1 - self.samples / max(self.intervals, 1)
-        text = [
-            f"Scene: {self.scene}.",
-            f"Measurements: {self.samples:,} instead of {self.intervals:,} ({100 * max(saved, 0):.0f} % fewer).",
-        ]
+        saved = 100 * max(1 - self.samples / max(self.intervals, 1), 0)
+        instead = f" instead of {self.intervals:,} ({saved:.0f} % fewer)" if self.samples != self.intervals else ""
+        text = [f"Scene: {self.scene}.", f"Measurements: {self.samples:,}{instead}."]
         for kind in sorted(Kind, key=self.share, reverse=True):
             share = 100 * self.share(kind)
             if share > 0:

@@ -1,6 +1,8 @@
 """What `reconstruct` can be asked for beside its defaults: each option does what it is for, on small recordings."""
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -11,9 +13,8 @@ from scsr_opt.camera import Intervals, Sensor, Simulation, Windows, simulate
 from scsr_opt.camera.gain import FIXED_PATTERN
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
-from scsr_opt.inputs import check_type
 from scsr_opt.motion import Global, Motion
-from scsr_opt.operators import Blur, Huber, Loss, Welsch
+from scsr_opt.operators import Blur, Huber, Welsch
 from scsr_opt.priors import Bounded, HuberTotalVariation, TotalVariation, WaveletL1
 from scsr_opt.rounds import CORRECTIONS
 from scsr_opt.solvers import ADMM, FISTA, LBFGS, CondatVu
@@ -64,6 +65,8 @@ def test_windows_are_counts():
     spikes = simulate(Static(PICTURE), scale=2, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=1).spikes
     solution = reconstruct(spikes, scale=1, velocity=(0.0, 0.0), samples=Windows(9), strength=0)
     assert solution.stats["samples"] == 4 * spikes[0].size
+    assert solution.plan is not None and (solution.plan.merged_for == 1).all()
+    assert "instead" not in "".join(solution.plan.lines())
     np.testing.assert_allclose(solution.image, spikes[:36].mean(0) / 0.6, atol=1e-3)
 
 
@@ -267,10 +270,52 @@ def test_other_numbers_compile_nothing(made, monkeypatch):
 
 
 def test_a_value_of_another_kind_is_said():
-    check_type(None, Loss, "robust", "Huber()")
-    check_type(Huber(), Loss, "robust", "Huber()")
-    with pytest.raises(InputError, match=re.escape("robust is 'huber'; it must be a Loss, such as Huber().")):
-        check_type("huber", Loss, "robust", "Huber()")
+    """In a process of its own: here the types of all arguments are checked before."""
+    said = {
+        "reconstruct(spikes, scale=2, robust='huber')": "robust is 'huber'; it must be a Loss, such as Huber().",
+        "reconstruct(spikes, scale=2, solver='fista')": "solver is 'fista'; it must be a Solver, such as FISTA().",
+        "reconstruct(spikes, scale=2, prior=FISTA())": "it must be a Prior, such as HuberTotalVariation().",
+        "reconstruct(spikes, scale=2, samples=9)": "samples is 9; it must be a Measuring, such as Intervals().",
+        "reconstruct(spikes, scale=2, optics=0.5)": "optics is 0.5; it must be a Blur",
+        "reconstruct(spikes, scale=2, velocity=Motion.none(5, 5))": "velocity has shape (2, 5, 5)",
+        "moved(acceleration=small)": "velocity.acceleration has shape (2, 5, 5); for this recording it must be (2, 8,",
+        "moved(confidence=np.full((8, 9), np.nan))": "velocity.confidence holds values that are not finite",
+        "moved(layers=replace(layers, velocity=small[None]))": "velocity.layers.velocity has shape (1, 2, 5, 5)",
+        "moved(layers=replace(layers, label=np.full((8, 9), 2)))": "other numbers than those of the 2 layers, from 0.",
+        "moved(trust=Trust(np.arange(2.0), small))": "velocity.trust.share has shape (2, 5, 5)",
+        "moved(trust=Trust(np.zeros(2), small))": "velocity.trust.after must be two or more times in frames, each",
+        "reconstruct(spikes, scale=2, solver=FISTA(stopping=DualityGap()))": "DualityGap was asked of RidgeRegulariser",
+        "reconstruct(spikes, scale=2, prior=TotalVariation(), solver=LBFGS())": "LBFGS was given TotalVariation, which",
+        "Blur.gaussian((6, 9), (1.0, 2.0, 3.0))": "sigma of shape (3,); it is one number, or one each for rows and",
+        "FISTA(step_size=0.1)": "FISTA was given step_size=0.1; it must be a StepSize, such as NormBound()",
+        "FISTA(stopping=1e-3)": "FISTA was given stopping=0.001; it must be a Stopping, such as FixedPoint().",
+        "CondatVu(balance=2.0)": "CondatVu was given balance=2.0; it must be a Balance, such as Balance(ratio).",
+        "ADMM(linear_solve='cg')": "ADMM was given linear_solve='cg'; it must be a LinearSolve",
+        "FISTA(iterations=2.5)": "FISTA was given 2.5 iterations; it needs a whole number of at least 1.",
+        "FISTA(iterations=float('nan'))": "FISTA was given nan iterations; it needs a whole number of at least 1.",
+    }
+    program = f"""
+from dataclasses import replace
+import numpy as np
+from scsr_opt import InputError, reconstruct
+from scsr_opt.motion import Motion
+from scsr_opt.motion.trajectory import Layers, Trust
+from scsr_opt.operators import Blur
+from scsr_opt.priors import TotalVariation
+from scsr_opt.solvers import ADMM, FISTA, LBFGS, CondatVu, DualityGap
+spikes, small, fields = np.zeros((31, 8, 9), np.uint8), np.zeros((2, 5, 5)), np.zeros((2, 2, 8, 9))
+layers = Layers(fields, fields, np.zeros((8, 9), int), np.arange(2))
+def moved(**change):
+    reconstruct(spikes, scale=2, velocity=replace(Motion.none(8, 9), **change))
+for call, message in {said!r}.items():
+    try:
+        eval(call)
+    except InputError as error:
+        assert message in str(error), (call, error)
+    else:
+        raise AssertionError(call)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from skimage import data
 from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.motion import Motion
-from scsr_opt.motion.estimate import given
+from scsr_opt.motion.handed_in import given
 from scsr_opt.placing import Stream, first_picture, measured
 from scsr_opt.priors import (
     BilateralTotalVariation,

@@ -16,8 +16,9 @@ from scsr_opt.baselines.playbacks import tfp_picture
 from scsr_opt.baselines.solving import solved
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples, spike_intervals
-from scsr_opt.motion.estimate import Dense, estimate_motion, given
+from scsr_opt.motion.estimate import Dense, estimate_motion
 from scsr_opt.motion.estimator import Estimator
+from scsr_opt.motion.handed_in import checked, given
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.sampling import place
 from scsr_opt.report.figures import bicubic
@@ -32,7 +33,7 @@ def shift_and_add(
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
     white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float] | Estimator | None = None,
+    velocity: ArrayLike | Sequence[float] | Estimator | Motion | None = None,
 ) -> Float[np.ndarray, "H W"]:
     """Every measurement put where it belongs on the fine grid, and averaged there (Elad and Hel-Or, 2001; Farsiu,
     Robinson, Elad and Milanfar, 2004).
@@ -119,7 +120,7 @@ def mgsr(
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
     white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float] | Estimator | None = None,
+    velocity: ArrayLike | Sequence[float] | Estimator | Motion | None = None,
 ) -> Float[np.ndarray, "H W"]:
     """Motion-guided super-resolution (MGSR), the classical predecessor of the paper's network, as far as it is known
     here: Zhao, Xie, Xiong, Zhang, Yu and Huang, "Super Resolve Dynamic Scene from Continuous Spike Streams", ICCV 2021.
@@ -171,12 +172,13 @@ def mgsr(
     return solved(placed, bicubic(tfp_picture(part), part.scale), strength)
 
 
-def _motion(part: Part, velocity: ArrayLike | Sequence[float] | Estimator | None) -> Motion:
+def _motion(part: Part, velocity: ArrayLike | Sequence[float] | Estimator | Motion | None) -> Motion:
     if velocity is None or isinstance(velocity, Estimator):
         return estimate_motion(
             part.spikes, key=part.key, white_rate=part.white_rate, estimator=velocity, bad_pixels=part.bad_pixels
         )
-    return given(velocity, *part.spikes.shape[1:])
+    height, width = part.spikes.shape[1:]
+    return checked(velocity, height, width) if isinstance(velocity, Motion) else given(velocity, height, width)
 
 
 def _interval_noise(samples: Samples) -> float:

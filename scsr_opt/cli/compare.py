@@ -45,7 +45,7 @@ def compare(
 ) -> int:
     """Compare optimizers and networks stage by stage on one moment of a recording.
 
-    Each X^(t) of each model is measured by the same problem (Eq. 4 with the default prior): objective, how far it
+    Each X^(t) of each model is measured by the same problem (Eq. 4 with Huber-TV): objective, how far it
     misses the samples, distance to the converged solution, step. For a network there is also what the optimizer makes
     of its picture, and what it makes of the optimizer's.
     """

@@ -17,7 +17,7 @@ def stress(
         str | None,
         Parameter(
             help="Names of families of cases with commas between: solvers, strengths, lights, steps, descent, sizes, "
-            "conditioning, lenses, long, gradients, vmap, door, defaults, random. Default: all."
+            "frames, conditioning, lenses, long, gradients, vmap, door, defaults, random. Default: all."
         ),
     ] = None,
     json: Annotated[

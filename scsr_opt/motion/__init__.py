@@ -8,8 +8,9 @@ from scsr_opt.motion.estimate import Dense as Dense
 from scsr_opt.motion.estimate import Global as Global
 from scsr_opt.motion.estimate import Still as Still
 from scsr_opt.motion.estimate import estimate_motion as estimate_motion
-from scsr_opt.motion.estimate import given as given
 from scsr_opt.motion.estimator import Estimator as Estimator
+from scsr_opt.motion.handed_in import checked as checked
+from scsr_opt.motion.handed_in import given as given
 from scsr_opt.motion.phase import PhaseCorrelation as PhaseCorrelation
 from scsr_opt.motion.playback_flow import ILK as ILK
 from scsr_opt.motion.playback_flow import TVL1 as TVL1

@@ -1,18 +1,15 @@
 """Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
-from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
-from scsr_opt.errors import InputError
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.dense import dense
 from scsr_opt.motion.estimator import Estimator
@@ -253,29 +250,3 @@ def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n
     reach = jnp.asarray(1.0)
     nearby = smooth(pictures * weight[None], reach) / jnp.maximum(smooth(weight, reach), 1e-6)[None]
     return jnp.where(jnp.asarray(good)[None], pictures, nearby)
-
-
-def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) -> Motion:
-    """A velocity handed in by the user: (2, h, w), or two numbers for the whole scene; sensor pixels per frame.
-
-    **Errors:** `InputError` for another shape or values that are not finite.
-    """
-    try:
-        field = np.asarray(velocity, np.float32)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"velocity is {velocity!r}; it must be an array of shape (2, {height}, {width}), two numbers (rows, "
-            "columns) in sensor pixels per frame, or an Estimator."
-        ) from None
-    if field.shape == (2,):
-        field = np.broadcast_to(field[:, None, None], (2, height, width)).copy()
-    if field.shape != (2, height, width):
-        raise InputError(
-            f"velocity has shape {np.shape(velocity)}; it must be (2, {height}, {width}) or two numbers "
-            "(rows, columns), in sensor pixels per frame."
-        )
-    if not np.isfinite(field).all():
-        raise InputError(
-            f"velocity holds {int((~np.isfinite(field)).sum())} values that are not finite; use 0 where it is unknown."
-        )
-    return Motion.of_velocity(field)

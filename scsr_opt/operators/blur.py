@@ -55,10 +55,15 @@ class Blur(LinearOperator):
         It is sampled at the pixel centres out to `truncate` standard deviations and scaled to sum 1, as
         `scipy.ndimage.gaussian_filter(mode="reflect")` does it. `sigma` 0 leaves the picture as it is.
 
-        **Errors:** `InputError` for a `sigma` that is negative, or above 10 and the longer side of the picture (all of
-        which then goes to every pixel alike), or a `truncate` that is not from 0 (excluded) to 10 (beyond which
-        nothing is left in double precision).
+        **Errors:** `InputError` for a `sigma` that is neither one number nor two, that is negative, or above 10 and the
+        longer side of the picture (all of which then goes to every pixel alike), or a `truncate` that is not from 0
+        (excluded) to 10 (beyond which nothing is left in double precision).
         """
+        if np.shape(sigma) not in ((), (2,)):
+            raise InputError(
+                f"Blur.gaussian was given sigma of shape {np.shape(sigma)}; it is one number, or one each for rows and "
+                "columns."
+            )
         rows, columns = np.broadcast_to(np.asarray(sigma, float), 2).tolist()
         most = max(*picture_shape(shape, "Blur"), _ALWAYS)
         down, right = _gaussian(rows, truncate, most), _gaussian(columns, truncate, most)

@@ -49,7 +49,7 @@ class Analysis(Prior[State], Generic[State]):
 
     iterations: eqx.AbstractVar[int]
 
-    # Whether φ* couples the leaves of a field, pixel by pixel, while K is a few operations: see `leaf_by_leaf`.
+    # Whether φ* may couple the leaves of a field, pixel by pixel, while K is a few operations: see `leaf_by_leaf`.
     coupled: ClassVar[bool] = False
 
     @property

@@ -12,9 +12,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
+from scsr_opt.priors.checks import whole
+from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
+from scsr_opt.solvers.linear_solve import LinearSolve
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Result, Stage
+from scsr_opt.solvers.step_size import Balance, StepSize
 from scsr_opt.solvers.stopping import Stopping
 
 State = TypeVar("State")
@@ -31,6 +35,13 @@ class Record(NamedTuple):
     residual: Float[Array, "..."]
     gap: Float[Array, "..."]
     step_size: Float[Array, "..."]
+
+
+# What a solver may be made of, and an example of each.
+_PARTS: dict[str, tuple[type, str]] = {
+    "stopping": (Stopping, "FixedPoint()"), "step_size": (StepSize, "NormBound() or Fixed(value)"),
+    "balance": (Balance, "Balance(ratio)"), "linear_solve": (LinearSolve, "ConjugateGradients()"),
+}  # fmt: skip
 
 
 class Solver(eqx.Module, Generic[State]):
@@ -50,13 +61,21 @@ class Solver(eqx.Module, Generic[State]):
     stopping: eqx.AbstractVar[Stopping]
 
     def __check_init__(self):
-        if self.iterations < 1:
-            raise InputError(f"{type(self).__name__} was given {self.iterations} iterations; it needs at least 1.")
+        name = type(self).__name__
+        whole(name, self.iterations, "iterations")
+        for part, (kind, example) in _PARTS.items():
+            given = getattr(self, part, None)
+            if given is not None and not isinstance(given, kind):
+                raise InputError(f"{name} was given {part}={given!r}; it must be a {kind.__name__}, such as {example}.")
         if not self.tolerance >= 0:
             raise InputError(
                 f"{type(self).__name__} was given tolerance {self.tolerance}; it is a relative measure of at "
                 "least 0 (0: use all iterations)."
             )
+
+    def check(self, prior: Prior) -> None:
+        """Raises `InputError` for a prior that it cannot use."""
+        self.stopping.check(prior)
 
     @abc.abstractmethod
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:
@@ -115,7 +134,7 @@ def run(
     """
     begin = time.perf_counter()
     iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
-    solver.stopping.check(problem.prior)
+    solver.check(problem.prior)
     # The limits are handed over apart, so that other limits compile nothing anew.
     solver = dataclasses.replace(solver, iterations=1, tolerance=0.0)
     if state is not None:

@@ -144,7 +144,7 @@ class ISTA(_ProximalGradient):
     """Iterative shrinkage-thresholding: X ← prox(X − β∇f(X)), Eq. 5 as it stands.
 
     The objective decreases in every iteration for β ≤ 1/L (L the Lipschitz constant of ∇f), as O(1/t) (Beck and
-    Teboulle, 2009). For comparison and study; FISTA needs far fewer iterations.
+    Teboulle, 2009), as far as the proximal step is exact. For comparison and study; FISTA needs far fewer iterations.
 
     **Fields:** `iterations`, `tolerance`, `stopping`: as of every `Solver`. `step_size`: how β is chosen.
     """

@@ -24,7 +24,8 @@ def solution(
     problem: Problem, image: Float[Array, "H W"], *, iterations: int = 1000, adjoint_iterations: int = 1000
 ) -> Float[Array, "H W"]:
     """The minimiser X*(θ) of f(X) + λΨ(X), differentiable in reverse mode by every number θ of the problem: λ, the
-    accumulated samples c (`problem.data.target`), M, and the priors' and optics' own.
+    accumulated samples c (`problem.data.target`), M, and the numbers of the lens and of a `RidgeRegulariser` (those of
+    the other priors are settings that are compiled in).
 
     With p the dual variable, the pair v* = (X*, p*) is a fixed point v = T(v, θ) of a primal–dual step, all of whose
     parts are exact and known (a truncated proximal step is not); of a gradient step, without p, for a

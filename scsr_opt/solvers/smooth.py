@@ -96,12 +96,15 @@ class Smooth(Solver[SmoothState]):
     def _method(self) -> Any:
         """The minimiser of optimistix."""
 
-    def init(self, problem: Problem, image: Float[Array, "H W"]) -> SmoothState:
-        if not problem.prior.smooth:
+    def check(self, prior: Prior) -> None:
+        """Raises `InputError` for a prior with kinks."""
+        if not prior.smooth:
             raise InputError(
-                f"{type(self).__name__} was given {type(problem.prior).__name__}, which has kinks; it needs a smooth "
+                f"{type(self).__name__} was given {type(prior).__name__}, which has kinks; it needs a smooth "
                 "prior such as HuberTotalVariation. For this one take FISTA, ADMM or CondatVu."
             )
+
+    def init(self, problem: Problem, image: Float[Array, "H W"]) -> SmoothState:
         data = problem.data
         blurred = data.blurred(image)
         state = SmoothState(

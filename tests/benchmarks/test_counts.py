@@ -4,8 +4,9 @@ What is a change on purpose, or another version of XLA (`jax` in the file says w
 
     .venv/bin/python -m benchmarks.bench_counts --write tests/benchmarks/counts.json
 
-after a look at what changed. The margins leave room for other processors, for which XLA fuses somewhat differently and
-adds up in another order; to do an iteration's work twice, or to lose a fusion of the dual steps, is far beyond them.
+after a look at what changed. With the version of XLA that they were counted with, programs differ little from processor
+to processor: to lose one fusion in each dual step is beyond the margins. Other versions fuse differently, and there the
+margins notice work that is done twice.
 """
 
 import json
@@ -23,7 +24,8 @@ RECORDED = json.loads((Path(__file__).parent / "counts.json").read_text(encoding
 MORE_ITERATIONS, AT_LEAST = 0.2, 1
 # Operations follow from the formulas, unless XLA calculates something twice to fuse more; bytes and kernels from what
 # is fused.
-MARGINS = {"operations a pixel": 0.15, "bytes a pixel": 0.25, "bytes held a pixel": 0.25, "fusions": 0.25}
+COUNTED = ("operations a pixel", "bytes a pixel", "bytes held a pixel", "fusions")
+MARGIN = 0.1 if jax.__version__ == RECORDED["jax"] else 0.25
 
 
 @contextmanager
@@ -52,8 +54,8 @@ def test_no_iteration_does_more():
     counted = bench_counts.programs()
     assert set(counted) == set(RECORDED["programs"])
     for name, recorded in RECORDED["programs"].items():
-        for what, margin in MARGINS.items():
-            assert 0 < counted[name][what] <= (1 + margin) * recorded[what], f"{name}: {what}, {recorded[what]} before"
+        for what in COUNTED:
+            assert 0 < counted[name][what] <= (1 + MARGIN) * recorded[what], f"{name}: {what}, {recorded[what]} before"
 
 
 def test_the_same_shape_compiles_nothing_again():

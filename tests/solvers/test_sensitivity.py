@@ -8,6 +8,7 @@ import pytest
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.aperture import Aperture
+from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.sampling import DataTerm, Stencil
 from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, RidgeRegulariser, TotalVariation
 from scsr_opt.solvers import Problem, solution
@@ -69,6 +70,35 @@ def test_derivatives_are_those_of_finite_differences(name):
         (jnp.sum(by_target * direction), (0.0, δ * direction)),
     ):
         difference = loss(at[0] + change[0], at[1] + change[1]) - loss(at[0] - change[0], at[1] - change[1])
+        assert float(derivative) == pytest.approx(float(difference) / (2 * δ), rel=1e-4, abs=1e-6)
+
+
+def test_derivatives_by_m_and_by_the_lens():
+    """In the same way, along a direction of all their numbers."""
+    base = problem(PRIORS["Huber TV"])
+    lens = Blur(SHAPE, np.array([[0.0, 0.1, 0.05], [0.1, 0.5, 0.1], [0.05, 0.1, 0.0]]))
+    base = eqx.tree_at(lambda p: p.data.optics, base, lens, is_leaf=lambda leaf: leaf is None)
+    rng = np.random.default_rng(6)
+    wanted = jnp.asarray(rng.normal(size=SHAPE))
+    planes, kernel = base.data.stencil.planes, lens.kernels[0]
+    # Where a plane is 0 it couples with what is outside the picture.
+    directions = (
+        jnp.asarray(np.where(planes != 0, rng.normal(size=planes.shape), 0)),
+        jnp.asarray(rng.normal(size=kernel.shape)),
+    )
+
+    @jax.jit
+    def loss(along_planes, along_kernel):
+        numbers = (planes + along_planes * directions[0], kernel + along_kernel * directions[1])
+        moved = eqx.tree_at(lambda p: (p.data.stencil.planes, p.data.optics.kernels[0]), base, numbers)
+        start = jnp.full(SHAPE, 0.5)
+        return jnp.sum(wanted * solution(moved, start, iterations=ITERATIONS, adjoint_iterations=ITERATIONS))
+
+    δ = 1e-5
+    for number, derivative in enumerate(jax.grad(loss, argnums=(0, 1))(0.0, 0.0)):
+        step = [0.0, 0.0]
+        step[number] = δ
+        difference = loss(*step) - loss(*(-one for one in step))
         assert float(derivative) == pytest.approx(float(difference) / (2 * δ), rel=1e-4, abs=1e-6)
 
 

@@ -20,7 +20,7 @@ from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, wit
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.iterate import Outcome, Solver, run
-from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.problem import Problem, with_bound
 from scsr_opt.solvers.solution import Stage
 
 # Rounds after the first solve, at most. By day three do, in dim light, where exposures are long, up to ten.
@@ -66,7 +66,7 @@ class Rounds:
 
         **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
         """
-        plain = term = accumulate(placed, optics=self.optics)
+        plain = term = with_bound(accumulate(placed, optics=self.optics))
         rounds = 1 + (CORRECTIONS if placed.finest > 1 or self.robust is not None else 0)
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
@@ -110,7 +110,7 @@ class Rounds:
         if self.robust is None:
             return plain if placed.finest == 1 else with_exposure(plain, placed, image)
         factors = robust_factors(self.robust, placed, plain, image)
-        plain = accumulate(placed, robust=factors, optics=self.optics)
+        plain = with_bound(accumulate(placed, robust=factors, optics=self.optics))
         return plain if placed.finest == 1 else with_exposure(plain, placed, image, robust=factors)
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:

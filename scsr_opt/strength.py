@@ -26,7 +26,7 @@ from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.iterate import Solver, run
-from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.problem import Problem, with_bound
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.smooth import Smooth
 
@@ -229,7 +229,7 @@ def _split(
         return None
     rest = eqx.tree_at(lambda p: p.weight, placed, jnp.asarray(weight * ~held))
     by_pixel = float((moved >= _MOVED).mean())
-    return _Validation(rest, jnp.asarray(weight * held), accumulate(rest, optics=optics), by_pixel)
+    return _Validation(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), by_pixel)
 
 
 def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:

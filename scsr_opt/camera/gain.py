@@ -143,7 +143,7 @@ def blind_gain(
     row, column = np.asarray(samples.row), np.asarray(samples.column)
     used = np.asarray(samples.weight if weight is None else weight, np.float64)
     value, start, stop = (np.asarray(v, np.float64) for v in (samples.value, samples.start, samples.stop))
-    pixel = row * shape[1] + column
+    pixel = (row * shape[1] + column).astype(np.intp)
 
     def sums(of: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
         return np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
@@ -161,17 +161,19 @@ def blind_gain(
         raw = np.clip((measured + spike) / np.maximum(predicted + spike, 1e-9), *_RANGE)
         return np.where(seen, raw - np.median(raw[seen]), 0)
 
-    light, half = (sums(used * value), sums(used * expected)), used * early
-    first_half = sums(half * value), sums(half * expected)
-    first = ratio(*first_half)
-    second = ratio(*(every - early for every, early in zip(light, first_half, strict=True)))
+    def halves(of: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+        late, soon = np.bincount(pixel + early * seen.size, of, minlength=2 * seen.size).reshape(2, *shape)
+        return soon, late
+
+    light = halves(used * value), halves(used * expected)
+    first, second = (ratio(*half) for half in zip(*light, strict=True))
     differs = (first - second) / 2
     of_errors = _robust_variance(differs[seen])
     of_gains = max(_robust_variance(((first + second) / 2)[seen]) - of_errors, 0.0)
     if of_gains == 0:
         return np.ones(shape, np.float32)
     kept = of_gains / (of_gains + np.maximum(of_errors, differs**2))
-    return np.clip(1 + kept * ratio(*light), *_RANGE).astype(np.float32)
+    return np.clip(1 + kept * ratio(*(soon + late for soon, late in light)), *_RANGE).astype(np.float32)
 
 
 def _robust_variance(values: Float[np.ndarray, " n"]) -> float:

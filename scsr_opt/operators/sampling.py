@@ -66,6 +66,8 @@ class DataTerm(eqx.Module):
     **Fields:**
     - `stencil`: M. `target`: c, (H, W). `energy`: e.
     - `aperture`, `optics`: B = aperture ∘ optics; `optics` None means a perfect lens.
+    - `bound`: an upper bound of ‖BᵀMB‖ where one is known (`scsr_opt.solvers.with_bound`), so that the next solve with
+      the same M need not find it; None where not.
     """
 
     stencil: Stencil
@@ -73,6 +75,7 @@ class DataTerm(eqx.Module):
     energy: Float[Array, ""]
     aperture: Aperture
     optics: LinearOperator | None
+    bound: Float[Array, ""] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

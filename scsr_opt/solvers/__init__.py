@@ -12,7 +12,7 @@ from scsr_opt.solvers.iterate import Outcome, Record, Solver, run
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
 from scsr_opt.solvers.primal_dual import ChambollePock, CondatVu
-from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.problem import Problem, lipschitz_bound, with_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.sensitivity import solution
 from scsr_opt.solvers.smooth import LBFGS, NonlinearCG
@@ -51,6 +51,7 @@ __all__ = [
     "StepSize",
     "Stopping",
     "lipschitz_bound",
+    "with_bound",
     "run",
     "solution",
 ]

@@ -26,8 +26,17 @@ class Problem(eqx.Module):
 def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
     """A certain upper bound on ‖BᵀMB‖, the Lipschitz constant of f's gradient; 1 / it is a step size that always works.
 
-    B and M have no negative entries, so four steps of Collatz's bound do (`scsr_opt.operators.norm_bound`).
+    B and M have no negative entries, so four steps of Collatz's bound do (`scsr_opt.operators.norm_bound`). What is
+    known already (`with_bound`) is returned.
     """
+    if data.bound is not None:
+        return data.bound
     bound = norm_bound(data.normal, data.shape, iterations=4, symmetric=True, dtype=data.target.dtype)
     # Where no sample counts, f is constant, and every number is a bound. Of a tiny one the step would be 1e38 long.
     return jnp.where(bound < jnp.finfo(data.target.dtype).tiny, 1, bound)
+
+
+@eqx.filter_jit
+def with_bound(data: DataTerm) -> DataTerm:
+    """`data` with its `bound`. It stays that of other targets c, as M does, but not of another M."""
+    return eqx.tree_at(lambda term: term.bound, data, lipschitz_bound(data), is_leaf=lambda leaf: leaf is None)

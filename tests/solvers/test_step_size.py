@@ -18,8 +18,11 @@ from scsr_opt.solvers import (
     Fixed,
     NormBound,
     SpectralNorm,
+    lipschitz_bound,
     run,
+    with_bound,
 )
+from scsr_opt.solvers import problem as posed
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +41,17 @@ def test_bounds_are_at_least_the_norm(case, steepest):
     loose = float(SpectralNorm(iterations=10).first(case.problem))
     assert loose < probable
     assert float(Fixed(0.25).first(case.problem)) == 0.25
+
+
+def test_a_bound_that_is_known_is_not_found_again(case, monkeypatch):
+    """And stays that of another target, as `with_exposure` makes it."""
+    known = with_bound(case.problem.data)
+    assert known.bound is not None
+    assert float(known.bound) == pytest.approx(float(lipschitz_bound(case.problem.data)), rel=1e-6)
+    monkeypatch.setattr(posed, "norm_bound", lambda *_, **__: pytest.fail("calculated again"))
+    other = eqx.tree_at(lambda data: data.target, known, 2 * known.target)
+    problem = eqx.tree_at(lambda p: p.data, case.problem, other, is_leaf=lambda leaf: leaf is case.problem.data)
+    assert float(NormBound().first(problem)) == pytest.approx(1 / float(known.bound), rel=1e-6)
 
 
 @pytest.mark.parametrize("make", [ISTA, FISTA])

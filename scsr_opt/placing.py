@@ -113,15 +113,22 @@ class Measurements(NamedTuple):
         )
         return self._replace(padded=padded, placed=placed)
 
-    def gain(self, stream: Stream, motion: Motion, blurred: Float[Array, "H W"]) -> Float[np.ndarray, "h w"]:
-        """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`)."""
-        n = self.samples.row.size
+    def gain(
+        self, stream: Stream, motion: Motion, blurred: Float[Array, "H W"], *, every: int = 1
+    ) -> Float[np.ndarray, "h w"]:
+        """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), of one row and column
+        in `every`; 1 elsewhere."""
+        samples, n = self.samples, self.samples.row.size
+        predicted, weight = (np.asarray(v)[:n] for v in (self.placed.read(blurred), self.placed.weight))
+        if every > 1:
+            chosen = np.flatnonzero((samples.row % every == 0) & (samples.column % every == 0))
+            samples, predicted, weight = jax.tree.map(lambda v: v[chosen], (samples, predicted, weight))
         return blind_gain(
-            self.samples,
-            np.asarray(self.placed.read(blurred))[:n],
+            samples,
+            predicted,
             moved=motion.speed * np.float32(len(stream.spikes)),
             white_rate=stream.white_rate,
-            weight=np.asarray(self.placed.weight)[:n],
+            weight=weight,
         )
 
 

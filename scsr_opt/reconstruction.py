@@ -40,6 +40,8 @@ from scsr_opt.strength import Validated, noise_of_mean, relative_strength, stren
 FRAMES = 101
 # Turns of picture and gain: one gets most, two all.
 _TURNS = 2
+# Pixels, about, whose gains say whether there is a fixed pattern: their spread is known to 2 % of itself.
+_LOOKED_AT = 1600
 
 
 def reconstruct(
@@ -194,14 +196,17 @@ def reconstruct(
     found = rounds(taken.placed, image, state, near=near)
     stages = found.outcome.stages
     measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
-    for turn in range(_TURNS if blind else 0):
+    turns = _TURNS if blind else 0
+    if blind and gain == "auto" and found.outcome.result.good:
+        every = max(1, int((height * width / _LOOKED_AT) ** 0.5))
+        few = measured_as.gain(stream, motion, found.blurred, every=every)
+        learned["gain_spread"] = spread_of(few[::every, ::every], known[::every, ::every])
+        turns = _TURNS if learned["gain_spread"] >= FIXED_PATTERN else 0
+    for turn in range(turns):
         if not found.outcome.result.good:
             break
-        blind_gains = measured_as.gain(stream, motion, found.blurred)
-        learned["gain_spread"] = spread_of(blind_gains, known)
-        if gain == "auto" and learned["gain_spread"] < FIXED_PATTERN:
-            break
-        gains = blind_gains
+        gains = measured_as.gain(stream, motion, found.blurred)
+        learned["gain_spread"] = spread_of(gains, known)
         if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
             motion = estimated(velocity, gains)
             measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)

@@ -16,7 +16,7 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
 from scsr_opt.inputs import bad_pixels_of, number, whole
 from scsr_opt.motion.estimate import filled
-from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.sampling import PlacedSamples, place
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
@@ -29,6 +29,10 @@ _MERGED_CHANGE = 0.25
 # Positions along an exposure, and how far apart they may be, in sensor pixels: what is read is the picture through an
 # aperture of one.
 _POSITIONS, _SPACING = (5, 3, 1), 0.375
+# Where three positions are asked for by no more than this share of the weight, and five by none, all are taken in the
+# middle of their exposure: a few long intervals of dark pixels would put all samples through rounds of corrections.
+# Nothing that a share so small shows moves far enough to be blurred by that.
+_FEW_LONG = 1e-4
 
 
 class Stream(NamedTuple):
@@ -94,12 +98,14 @@ class Measurements(NamedTuple):
     - `samples`: (n,), as measured, weighted by their share of the recording.
     - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
     - `merged_for`: (h, w), frames over which the intervals of a pixel were merged.
+    - `path`: where in the key frame lies what the pixels see.
     """
 
     samples: Samples
     padded: Samples
     placed: PlacedSamples
     merged_for: Int[np.ndarray, "h w"]
+    path: Trajectory
 
     def with_gain(self, gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], noise: float) -> "Measurements":
         """The samples as measured over these gains, at the same places; pixels whose gain is not known count less.
@@ -140,6 +146,7 @@ def measured(
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
     merge: bool = True,
+    path: Trajectory | None = None,
 ) -> Measurements:
     """The measurements of a recording, placed along a motion.
 
@@ -149,9 +156,11 @@ def measured(
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
     - `merge`: whether intervals are merged where nothing moves; the picture is the same. Windows are not.
+    - `path`: `motion` followed through the stream (`trajectory_of`), if that is known.
     """
     frames, height, width = stream.spikes.shape
-    path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
+    if path is None:
+        path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
     fastest = path.fastest
     still_for = np.ones((height, width), np.int32)
@@ -174,7 +183,7 @@ def measured(
         positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
         finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
     )
-    return Measurements(samples, padded, placed, still_for)
+    return Measurements(samples, padded, placed, still_for, path)
 
 
 def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[Samples, Int[np.ndarray, " n"]]:
@@ -182,7 +191,11 @@ def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[S
     per frame."""
     with np.errstate(over="ignore", invalid="ignore"):
         moved = speed[samples.row, samples.column] * (samples.stop - samples.start)
-    level = np.sum([k * _SPACING <= moved for k in _POSITIONS[1:]], axis=0, dtype=np.int8)
+    level = np.zeros(moved.shape, np.int8)
+    for k in _POSITIONS[1:]:
+        level += k * _SPACING <= moved
+    if level.max(initial=0) == 1 and samples.weight[level == 1].sum() <= _FEW_LONG * samples.weight.sum():
+        level = np.zeros_like(level)
     # In this order what has no second position can be passed over in pieces.
     members = [np.flatnonzero(level == which) for which in reversed(range(len(_POSITIONS)))]
     order = np.concatenate(members)

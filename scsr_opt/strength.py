@@ -152,7 +152,15 @@ def validated_strength(
         validation = _split(taken.padded, taken.placed, moved, optics)
     else:
         # None are merged, as what is held out has to be in pieces.
-        apart = measured(part, motion.part(rows, columns), scale=scale, measuring=measuring, gain=gain, merge=False)
+        apart = measured(
+            part,
+            motion.part(rows, columns),
+            scale=scale,
+            measuring=measuring,
+            gain=gain,
+            merge=False,
+            path=taken.path.part(rows, columns),
+        )
         validation = _split(apart.padded, apart.placed, moved, optics)
     if validation is None:
         return Validated(least, None)

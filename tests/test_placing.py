@@ -5,9 +5,10 @@ import pytest
 
 from scsr_opt.camera import Intervals, simulate
 from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.samples import Samples
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
-from scsr_opt.placing import Measurements, measured, stream_around
+from scsr_opt.placing import Measurements, _longest_first, measured, stream_around
 
 HEIGHT, WIDTH, FRAMES = 24, 32, 65
 
@@ -65,3 +66,19 @@ def test_intervals_are_merged_where_much_of_the_scene_rests_long(spikes):
     half[:, :-4] = 0.25
     assert (measurements(spikes, half).merged_for == 1).all()
     assert (measurements(spikes, 0.0, merge=False).merged_for == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("pixels", "moved", "positions"), [(1, 0.4, {1}), (12, 0.4, {1, 3}), (1, 1.2, {1, 5})], ids=["few", "many", "far"]
+)
+def test_few_exposures_that_are_a_little_long_do_not_put_all_through_corrections(pixels, moved, positions):
+    """One pixel in 20,000 may be blurred by its motion; not an object, nor what needs five positions."""
+    row, column = np.divmod(np.arange(20_000, dtype=np.int32), 200)
+    ones = np.ones(row.size, np.float32)
+    samples = Samples(row, column, 0 * ones, ones, 0.5 * ones, ones)
+    speed = np.zeros((100, 200), np.float32)
+    speed[7, 40 : 40 + pixels] = moved
+    ordered, found = _longest_first(samples, speed)
+    assert set(found.tolist()) == positions
+    if len(positions) > 1:
+        assert (ordered.row[:pixels] == 7).all() and (found[:pixels] > 1).all()

@@ -6,6 +6,8 @@ computed once for a few moments, and interpolated between them: at 40,000 frames
 frames.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -172,6 +174,15 @@ class Trajectory(eqx.Module):
         down, right, visible = (between(table) for table in tables)
         return down, right, visible
 
+    def part(self, rows: slice, columns: slice) -> "Trajectory":
+        """That of the pixels in these rows and columns of the sensor; positions count from their corner, too."""
+        shape = (rows.stop - rows.start, columns.stop - columns.start)
+        if shape == self.position.shape[2:]:
+            return self
+        return Trajectory(
+            self.first, *_cut(self.position, self.visible, np.array([rows.start, columns.start], np.int32), shape)
+        )
+
     @property
     def fastest(self) -> Float[np.ndarray, "h w"]:
         """How fast the key-frame position of what a pixel sees changes at most, sensor pixels per frame.
@@ -188,6 +199,20 @@ class Trajectory(eqx.Module):
         if self.visible.shape[0] == 1:
             return np.zeros(self.visible.shape[1:], np.float32)
         return np.asarray(_unsteady(self.visible))
+
+
+@partial(jax.jit, static_argnames="shape")
+def _cut(
+    position: Float[Array, "n 2 h w"],
+    visible: Float[Array, "n h w"],
+    corner: Int[Array | np.ndarray, "2"],
+    shape: tuple[int, int],
+) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
+    """What `shape` pixels from `corner` on see, from there; a program for all corners."""
+    n = position.shape[0]
+    part = jax.lax.dynamic_slice(position, (0, 0, *corner), (n, 2, *shape))
+    seen = jax.lax.dynamic_slice(visible, (0, *corner), (n, *shape))
+    return part - corner.astype(position.dtype)[None, :, None, None], seen
 
 
 @jax.jit

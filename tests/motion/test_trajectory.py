@@ -116,3 +116,14 @@ def test_straight_affine_motion_against_its_closed_form():
         exact = np.einsum("ij,jhw->ihw", np.linalg.inv(np.eye(2) + gradient * tau), pixels)  # p = q + (L q + d) τ
         inside = still_inside(exact)
         assert np.abs(at(path, time) - exact)[:, inside].max() < 1e-3
+
+
+def test_that_of_a_part_is_what_its_pixels_see_counted_from_its_corner(smooth):
+    rows, columns = slice(8, 30), slice(20, 57)
+    path = trajectory_of(smooth, key=KEY, start=0, stop=FRAMES)
+    part = path.part(rows, columns)
+    expected = np.asarray(path.position)[..., rows, columns] - np.array([8, 20])[:, None, None]
+    np.testing.assert_allclose(part.position, expected, atol=1e-5)
+    np.testing.assert_array_equal(part.visible, np.asarray(path.visible)[:, rows, columns])
+    assert part.first == path.first
+    assert path.part(slice(0, H), slice(0, W)) is path

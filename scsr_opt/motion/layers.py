@@ -213,7 +213,7 @@ def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h 
     inside = cast(np.ndarray, ndimage.binary_erosion(member, iterations=_EDGE))
     if inside.sum() < _FEWEST_PIXELS:
         return motion
-    found = parametric(pictures, start=motion, where=inside)
+    found = parametric(pictures, start=motion, where=inside, fitted=True)
     # Fewer pixels may tell less: the better of the two.
     before, after = (variance_along(pictures, m)[inside].mean() for m in (motion, found))
     return found if after < before else motion

@@ -31,8 +31,9 @@ _VARIES = 0.1
 _MINORITY = 0.2
 
 # Points of the key frame that are looked at. Presmoothed pictures change little from pixel to pixel: a sixth of a
-# sensor of 400×250 says as much as all of it.
-_POINTS = 16384
+# sensor of 400×250 says as much as all of it. There are few lengths, so that what was compiled once serves for each
+# picture and region: these two, and four times the first.
+_LEAST_POINTS, _POINTS = 1024, 16384
 # The picture is cut into so many blocks each way, whose votes tell how certain a number is.
 _BLOCKS = 16
 
@@ -61,6 +62,7 @@ def parametric(
     perspective: bool = True,
     start: Motion | None = None,
     where: Bool[np.ndarray, "h w"] | None = None,
+    fitted: bool = False,
 ) -> Motion:
     """One velocity (and acceleration) for the whole scene, or one that varies linearly or as a tilting plane's.
 
@@ -70,7 +72,7 @@ def parametric(
     asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity: its mean, or where
     it varies the affine one nearest to it, whose numbers are then all fitted. With `where`, only these pixels of the
     key frame are looked at, and perspective, for which a region is too small, is left out; the motion is still given
-    everywhere.
+    everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to all moments once more.
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where)
@@ -85,6 +87,7 @@ def parametric(
         active[0, _LINEAR] = affine and varies > _VARIES
         numbers[0, active[0]] = np.linalg.lstsq(basis[active[0]].T, known.ravel(), rcond=None)[0]
     schedule, majority = (_SCHEDULE, 0.5) if where is None else (_SCHEDULE[1:], _MINORITY)
+    schedule = schedule[-1:] if fitted else schedule
     after = np.asarray(pictures.after)
     for reach, sigma, steps in schedule:
         near = np.flatnonzero(np.abs(after) <= reach)
@@ -136,19 +139,18 @@ class _Points(NamedTuple):
 def _points(height: int, width: int, where: Bool[np.ndarray, "h w"] | None) -> _Points:
     inner = np.ones((height - 1, width - 1), bool) if where is None else where[:-1, :-1]
     row, column = np.nonzero(inner)
+    size = _LEAST_POINTS
+    while 4 * size <= min(row.size, _POINTS):
+        size *= 4
     # Spread evenly, whatever their number (the additive recurrence by powers of the plastic number, Roberts 2018).
-    if row.size > _POINTS:
-        chosen = (row * 0.7548776662 + column * 0.5698402910) % 1 < _POINTS / row.size
+    if row.size > size:
+        chosen = (row * 0.7548776662 + column * 0.5698402910) % 1 < size / row.size
         row, column = row[chosen], column[chosen]
-    row, column = row[:_POINTS], column[:_POINTS]
+    row, column = row[:size], column[:size]
 
     def block(of: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         return (of - of.min(initial=0)) * _BLOCKS // max(int(np.ptp(of)) + 1 if of.size else 1, 1)
 
-    # One length for all pictures and regions: what was compiled once serves for each of them.
-    size = 1024
-    while size < row.size:
-        size *= 4
     pad = (0, size - row.size)
     row, column, block_of = (np.pad(v, pad) for v in (row, column, block(row) * _BLOCKS + block(column)))
     position = np.stack([row, column]).astype(np.float32) + np.float32(0.5)

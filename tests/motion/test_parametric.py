@@ -148,3 +148,28 @@ def test_tiny_pictures_and_pictures_without_texture(shape):
     motion = parametric(flat)
     assert motion.velocity.shape == (2, *shape) and np.isfinite(motion.velocity).all()
     assert not motion.velocity.any()
+
+
+def test_what_was_fitted_is_fitted_to_all_moments_once_more():
+    """As exactly as from near times on, from a start as wrong as one that was fitted to other pixels may be."""
+    velocity = np.zeros((2, HEIGHT, WIDTH))
+    velocity[0], velocity[1] = 0.1, -0.05
+    region = np.ones((HEIGHT, WIDTH), bool)
+    start = module.Motion.of_velocity(1.02 * velocity)
+    pictures = drawn(velocity)
+    ways = [parametric(pictures, start=start, where=region, fitted=fitted) for fitted in (True, False)]
+    for found in ways:
+        assert worst(found.velocity, velocity) < 0.1 * worst(start.velocity, velocity)
+    np.testing.assert_allclose(ways[0].velocity, ways[1].velocity, atol=1e-4)
+
+
+@pytest.mark.parametrize(("side", "number"), [(20, 19**2), (60, 1024), (100, 4096), (200, 16384)])
+def test_points_are_of_few_numbers_and_spread_evenly(side, number):
+    points = module._points(side, side, None)
+    used = int(points.region.sum())
+    assert 0.98 * number <= used <= number
+    assert points.region.size in (1024, 4096, 16384)
+    # In each sixteenth of the picture as many as in the others, but that rows and columns may be 5, 5, 5 and 4.
+    quarters = points.position[:, points.region > 0] // (side / 4)
+    counts = np.bincount((4 * quarters[0] + quarters[1]).astype(int), minlength=16)
+    assert counts.min() > 0.7 * used / 16

@@ -31,7 +31,8 @@ _MERGED_CHANGE = 0.25
 _POSITIONS, _SPACING = (5, 3, 1), 0.375
 # Where three positions are asked for by no more than this share of the weight, and five by none, all are taken in the
 # middle of their exposure: a few long intervals of dark pixels would put all samples through rounds of corrections.
-# Nothing that a share so small shows moves far enough to be blurred by that.
+# What they show is then blurred by up to a sensor pixel of motion; at this share it is no object: a hundred pixels of a
+# million.
 _FEW_LONG = 1e-4
 
 

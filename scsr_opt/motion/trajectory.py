@@ -175,7 +175,10 @@ class Trajectory(eqx.Module):
         return down, right, visible
 
     def part(self, rows: slice, columns: slice) -> "Trajectory":
-        """That of the pixels in these rows and columns of the sensor; positions count from their corner, too."""
+        """The trajectory, (n, 2, rows, columns), of these rows and columns of the sensor, each with a start and a stop.
+
+        Positions, sensor pixels, count from the part's corner, as its pixels do.
+        """
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         if shape == self.position.shape[2:]:
             return self

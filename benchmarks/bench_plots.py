@@ -22,6 +22,8 @@ SAID = {
 }
 # What the right one of the fronts shows: so many times the seconds of the default, so many dB from its own.
 _NEAR_SECONDS, _NEAR_DECIBELS = 6.0, 1.6
+# Height of a line of names, of the panel's.
+_LINE = 0.04
 _COLOURS = {"default": "C3", "variant": "C1", "learned": "C2", "baseline": "C0"}
 
 
@@ -106,18 +108,35 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
     ]
     drawn.legend(handles=marks, loc="outside lower center", ncols=len(marks), fontsize=8, frameon=False)
     panels[1].set_title("near the default")
+    _name_at_the_side(panels[1], {name: places[name] for name in near})
     drawn.draw_without_rendering()  # only then it is known where what lies
-    for axes, named in zip(panels, (set(places) - near, near), strict=True):
-        _name(axes, [(name, places[name]) for name in sorted(named, key=lambda name: places[name][1])])
+    _name_beside(panels[0], {name: at for name, at in places.items() if name not in near})
     return drawn
 
 
-def _name(axes: Axes, places: list[tuple[str, tuple[float, float]]]) -> None:
+def _name_at_the_side(axes: Axes, places: dict[str, tuple[float, float]]) -> None:
+    """The names in a column right of the panel, from the lowest point up, each with a line to its point: points that
+    lie on one another are told apart."""
+    names = sorted(places, key=lambda name: (places[name][1], places[name][0]))
+    bottom, top = axes.get_ylim()
+    wanted = [(places[name][1] - bottom) / (top - bottom) for name in names]
+    heights: list[float] = []
+    for number, height in enumerate(wanted):  # as high as its point, but above the last and below those to come
+        height = min(height, 1 - _LINE * (len(names) - 1 - number))
+        heights.append(max(height, heights[-1] + _LINE) if heights else height)
+    for name, height in zip(names, heights, strict=True):
+        axes.annotate(
+            name, places[name], xytext=(1.06, height), textcoords="axes fraction", fontsize=7, va="center",
+            arrowprops={"arrowstyle": "-", "color": "grey", "linewidth": 0.5, "relpos": (0, 0.5), "shrinkA": 1},
+        )  # fmt: skip
+
+
+def _name_beside(axes: Axes, places: dict[str, tuple[float, float]]) -> None:
     """The names beside their points, each where it covers none of those before, or lowest of all."""
     points = 72 / axes.figure.dpi
     right = axes.get_window_extent().x1 * points
     taken: list[tuple[float, float, float]] = []
-    for name, at in places:
+    for name, at in sorted(places.items(), key=lambda place: place[1][1]):
         x, y = axes.transData.transform(at) * points
         wide = 4.0 * len(name)
         beside = [6.0] if x + 6 + wide < right else []

@@ -141,27 +141,26 @@ class Measurements(NamedTuple):
 
 def measured(
     stream: Stream,
-    motion: Motion,
+    motion: Motion | Trajectory,
     *,
     scale: int,
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
     merge: bool = True,
-    path: Trajectory | None = None,
 ) -> Measurements:
     """The measurements of a recording, placed along a motion.
 
     **Arguments:**
+    - `motion`: of the key frame, or already followed through the stream (`trajectory_of`).
     - `scale`: s, high-resolution pixels to a sensor pixel.
     - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
     - `merge`: whether intervals are merged where nothing moves; the picture is the same. Windows are not.
-    - `path`: `motion` followed through the stream (`trajectory_of`), if that is known.
     """
     frames, height, width = stream.spikes.shape
-    if path is None:
-        path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
+    followed = isinstance(motion, Trajectory)
+    path = motion if followed else trajectory_of(motion, key=stream.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
     fastest = path.fastest
     still_for = np.ones((height, width), np.int32)

@@ -154,12 +154,11 @@ def validated_strength(
         # None are merged, as what is held out has to be in pieces.
         apart = measured(
             part,
-            motion.part(rows, columns),
+            taken.path.part(rows, columns),
             scale=scale,
             measuring=measuring,
             gain=gain,
             merge=False,
-            path=taken.path.part(rows, columns),
         )
         validation = _split(apart.padded, apart.placed, moved, optics)
     if validation is None:

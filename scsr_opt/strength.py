@@ -44,14 +44,15 @@ _MOVED = 1.0
 _SHARE, _STRETCH = 5, 8
 # Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
 # that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
-# by noise alone believed, where it always lost.
-_BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.6)
+# by noise alone believed, where it lost more often than not.
+_BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.4)
 # What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
 # (docs/data-term.md).
-_LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.5, 16.0, 256.0
-# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time and asks for
-# somewhat more than the learned prior needs.
-_STAND_IN = 0.8
+_LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.25, 16.0, 256.0
+# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time. Where that asks
+# for k times the strength by noise, the learned prior needs a·k^b: it knows pictures better, and is moved less by what
+# noise there is (a and b measured).
+_STAND_IN = (0.65, 0.6)
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
 
@@ -198,7 +199,8 @@ def validated_strength(
         by_time ** (1 - validation.by_pixel) * by_pixel**validation.by_pixel
         for by_time, by_pixel in (_BEYOND, _AT_LEAST)
     )
-    beyond *= _STAND_IN if learned else 1
+    if learned:
+        best = _STAND_IN[0] * best ** _STAND_IN[1]
     usable = everything and bool(jnp.isfinite(image).all())
     return Validated(least * max(at_least, beyond * best), image if usable else None)
 

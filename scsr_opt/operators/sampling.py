@@ -243,10 +243,9 @@ def place(
       given.
     - `finest`: the largest of these.
 
-    A sample that leaves the picture at any time of its exposure is dropped. Of a scene that passes through a small
-    picture within a few exposures the short ones of bright moments remain, and it comes out too bright (by half at one
-    sensor pixel a frame on 24 of them). Counting such samples for the part of them
-    inside mends that and costs 1 dB where a lens blurs across the border.
+    A sample that leaves the picture at any time of its exposure is dropped; what is left of it inside is for the
+    caller to cut out (`scsr_opt.placing.measured`). Counting such samples for the part of them inside, as they are,
+    costs 1 dB where a lens blurs across the border.
 
     **Raises:** `InputError` if `finest` is even.
     """

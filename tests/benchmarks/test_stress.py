@@ -74,8 +74,8 @@ def test_recordings_are_what_their_names_say():
 
 @pytest.mark.parametrize(
     ("axes", "something"),
-    [({}, True), ({"light": "all-one", "motion": "integer"}, True), ({"bad": 1.0}, False), ({"light": "all-zero"}, False),
-     ({"motion": "huge"}, False)],
+    [({}, True), ({"light": "all-one", "motion": "integer"}, True),
+     ({"bad": 1.0}, False), ({"light": "all-zero"}, False), ({"motion": "huge"}, False)],
 )  # fmt: skip
 def test_where_there_is_something_to_see_a_picture_is_asked_for(axes, something):
     case = Case("door", kind="reconstruct", iterations=5, **axes)

@@ -22,7 +22,7 @@ SAID = {
 }
 # What the right one of the fronts shows: so many times the seconds of the default, so many dB from its own.
 _NEAR_SECONDS, _NEAR_DECIBELS = 6.0, 1.6
-# Height of a line of names, of the panel's.
+# Height of a line of names, as a share of the panel's.
 _LINE = 0.04
 _COLOURS = {"default": "C3", "variant": "C1", "learned": "C2", "baseline": "C0"}
 
@@ -120,10 +120,11 @@ def _name_at_the_side(axes: Axes, places: dict[str, tuple[float, float]]) -> Non
     names = sorted(places, key=lambda name: (places[name][1], places[name][0]))
     bottom, top = axes.get_ylim()
     wanted = [(places[name][1] - bottom) / (top - bottom) for name in names]
+    line = min(_LINE, 1 / max(len(names) - 1, 1))
     heights: list[float] = []
     for number, height in enumerate(wanted):  # as high as its point, but above the last and below those to come
-        height = min(height, 1 - _LINE * (len(names) - 1 - number))
-        heights.append(max(height, heights[-1] + _LINE) if heights else height)
+        height = min(height, 1 - line * (len(names) - 1 - number))
+        heights.append(max(height, heights[-1] + line) if heights else height)
     for name, height in zip(names, heights, strict=True):
         axes.annotate(
             name, places[name], xytext=(1.06, height), textcoords="axes fraction", fontsize=7, va="center",

@@ -14,9 +14,10 @@ from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
+from scsr_opt.cutting import cut_to_seen
 from scsr_opt.inputs import bad_pixels_of, number, whole
 from scsr_opt.motion.estimate import filled
-from scsr_opt.motion.trajectory import SPACING, Motion, Trajectory, trajectory_of
+from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.sampling import PlacedSamples, place
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
@@ -26,8 +27,6 @@ _MERGED_MOTION = 0.25
 _MERGED_SHARE, _MERGED_LONG = 0.25, 16
 # How far the weight of what a pixel sees may change while intervals are merged.
 _MERGED_CHANGE = 0.25
-# The share of what its light is worth at most at which a pixel counts as seen.
-_SEEN = 0.5
 # Positions along an exposure, and how far apart they may be, in sensor pixels: what is read is the picture through an
 # aperture of one.
 _POSITIONS, _SPACING = (5, 3, 1), 0.375
@@ -98,13 +97,16 @@ class Measurements(NamedTuple):
     """Samples and where they were taken.
 
     **Fields:**
-    - `samples`: (n,), as measured, weighted by their share of the recording.
+    - `samples`: (n,), as measured, weighted by their share of the recording; intervals that can be used in part only,
+      cut to it (`scsr_opt.cutting`).
+    - `light`: (n,), their weights before anything was cut.
     - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
     - `merged_for`: (h, w), frames over which the intervals of a pixel were merged.
     - `path`: where in the key frame lies what the pixels see.
     """
 
     samples: Samples
+    light: Float[np.ndarray, " n"]
     padded: Samples
     placed: PlacedSamples
     merged_for: Int[np.ndarray, "h w"]
@@ -158,7 +160,8 @@ def measured(
     - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
-    - `merge`: whether intervals are merged where nothing moves; the picture is the same. Windows are not.
+    - `merge`: whether intervals are merged where nothing moves; the picture is the same, but for long intervals that
+      are cut (`scsr_opt.cutting`), which merged ones are not. Windows are not merged.
     """
     frames, height, width = stream.spikes.shape
     followed = isinstance(motion, Trajectory)
@@ -174,10 +177,12 @@ def measured(
         possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
         still_for = possible if np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE else still_for
     samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
+    light = samples.weight
     if isinstance(measuring, Intervals) and measuring.ends > 0:
-        samples = _cut_to_seen(samples, path, frames, white_rate=stream.white_rate, ends=measuring.ends)
+        samples = cut_to_seen(samples, path, frames=frames, white_rate=stream.white_rate, ends=measuring.ends)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
-    samples, positions = _longest_first(samples, fastest)
+    order, positions = _longest_first(samples, fastest)
+    samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
         jax.tree.map(jnp.asarray, padded),
@@ -187,74 +192,14 @@ def measured(
         positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
         finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
     )
-    return Measurements(samples, padded, placed, still_for, path)
+    return Measurements(samples, light, padded, placed, still_for, path)
 
 
-def _cut_to_seen(samples: Samples, path: Trajectory, frames: int, *, white_rate: float, ends: float) -> Samples:
-    """The samples, those cut that can be used for a part of their exposure only, where that part says more.
-
-    What a pixel sees may come into view, be hidden or leave the picture during an exposure. The stretch of time in
-    which it can be used is a recording of its own, and an interval that reaches beyond it one of its ends
-    (`scsr_opt.camera.samples`): ½θ, or nothing if no spike begins or ends it. Dark surfaces, whose intervals are long,
-    would be known by their brightest moments only without them.
-    """
-    usable, partly = (np.asarray(v) for v in _usable(path))
-    long = (samples.stop - samples.start >= 2 * SPACING) & partly[samples.row, samples.column]
-    # What was merged is not pulled apart: pixels whose light is used in part only are not merged as far.
-    chosen = np.flatnonzero(long & (samples.value * (samples.stop - samples.start) < 1.5 / white_rate))
-    if chosen.size == 0:
-        return samples
-    first, last = np.float32(path.first), len(usable) - 1
-    from_first = (np.stack([samples.start[chosen], samples.stop[chosen]]) - first) / SPACING
-    begin, end = np.clip([np.floor(from_first[0]), np.ceil(from_first[1])], 0, last).astype(np.int32)
-    order = np.argsort(begin - end, kind="stable")  # those with most moments first
-    chosen, begin, end = chosen[order], begin[order], end[order]
-    pixel = samples.row[chosen] * usable.shape[2] + samples.column[chosen]
-    usable = usable.reshape(last + 1, -1)
-    enough = _SEEN * usable.max(0)[pixel]
-    least = np.full(chosen.size, np.inf, np.float32)
-    run, longest, until = (np.zeros(chosen.size, np.int32) for _ in range(3))
-    for k in range(int((end - begin)[0]) + 1):
-        some = slice(np.searchsorted(begin - end, -k, side="right"))  # those that have so many
-        moment = begin[some] + k
-        seen = usable[moment, pixel[some]]
-        least[some] = np.minimum(least[some], seen)
-        run[some] = (run[some] + 1) * (seen >= enough[some])
-        until[some] = np.where(run[some] > longest[some], moment, until[some])
-        longest[some] = np.maximum(longest[some], run[some])
-    start, stop, weight = samples.start[chosen], samples.stop[chosen], samples.weight[chosen]
-    start_seen = np.maximum(start, first + SPACING * (until - longest + 1).astype(np.float32))
-    stop_seen = np.minimum(stop, first + SPACING * until.astype(np.float32))
-    left = stop_seen - start_seen
-    better = (longest > 0) & (left >= SPACING) & (enough * left * np.float32(ends) > least * weight)
-    spike = ((start_seen == start) & (start >= 0)) ^ ((stop_seen == stop) & (stop <= frames - 1))
-    fields = (
-        start_seen,
-        stop_seen,
-        spike * np.float32(0.5 / white_rate) / np.maximum(left, np.float32(SPACING)),
-        left * np.float32(ends),
-    )
-    changed = [np.array(v) for v in (samples.start, samples.stop, samples.value, samples.weight)]
-    for values, cut in zip(changed, fields, strict=True):
-        values[chosen[better]] = cut[better]
-    return eqx.tree_at(lambda s: (s.start, s.stop, s.value, s.weight), samples, tuple(changed))
-
-
-@jax.jit
-def _usable(path: Trajectory) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]]:
-    """How far what each pixel sees at the trajectory's moments can be used, which it cannot be out of the picture; and
-    of which pixels much more at one time than at another."""
-    height, width = path.position.shape[2:]
-    down, right = path.position[:, 0], path.position[:, 1]
-    # A tolerance, so that rounding does not take the border row of a scene at rest out of the picture.
-    inside = (down >= -1e-4) & (right >= -1e-4) & (down <= height - 1 + 1e-4) & (right <= width - 1 + 1e-4)
-    usable = jnp.where(inside, path.visible, 0)
-    return usable, usable.min(0) < _SEEN * usable.max(0)
-
-
-def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[Samples, Int[np.ndarray, " n"]]:
-    """The samples and how many positions each gets along its exposure, those with most first; `speed` in sensor pixels
-    per frame."""
+def _longest_first(
+    samples: Samples, speed: Float[np.ndarray, "h w"]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """The samples' numbers, and how many positions each gets along its exposure, those with most first; `speed` in
+    sensor pixels per frame."""
     with np.errstate(over="ignore", invalid="ignore"):
         moved = speed[samples.row, samples.column] * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
@@ -266,4 +211,4 @@ def _longest_first(samples: Samples, speed: Float[np.ndarray, "h w"]) -> tuple[S
     members = [np.flatnonzero(level == which) for which in reversed(range(len(_POSITIONS)))]
     order = np.concatenate(members)
     positions = np.repeat(np.array(_POSITIONS, np.int32), [each.size for each in members])
-    return jax.tree.map(lambda values: values[order], samples), positions
+    return order, positions

@@ -252,7 +252,7 @@ def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float, mea
         motion,
         taken.merged_for,
         pixel=samples.row * stream.spikes.shape[2] + samples.column,
-        light=np.asarray(samples.weight),
+        light=taken.light,
         used=np.asarray(taken.placed.weight)[: samples.row.size],
         noise=noise * stream.white_rate,
     )

@@ -49,9 +49,9 @@ _BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.4)
 # What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
 # (docs/data-term.md).
 _LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.25, 16.0, 256.0
-# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time. Where that asks
-# for k times the strength by noise, the learned prior needs a·k^b: it knows pictures better, and is moved less by what
-# noise there is (a and b measured).
+# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time. Where that
+# predicts best with k times the strength by noise, the learned prior does with a·k^b (both measured): it knows pictures
+# better, and noise moves it less.
 _STAND_IN = (0.65, 0.6)
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
@@ -123,7 +123,7 @@ def validated_strength(
     optics: LinearOperator | None = None,
     noise: float | None = None,
 ) -> Validated:
-    """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
+    """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more (`_BEYOND`).
 
     Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A part of the picture
     serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: the one whose contrast

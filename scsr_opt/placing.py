@@ -129,11 +129,14 @@ class Measurements(NamedTuple):
     ) -> Float[np.ndarray, "h w"]:
         """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), of one row and column
         in `every`; 1 elsewhere."""
-        samples, n = self.samples, self.samples.row.size
-        predicted, weight = (np.asarray(v)[:n] for v in (self.placed.read(blurred), self.placed.weight))
+        samples, placed = self.samples, self.placed
         if every > 1:
-            chosen = np.flatnonzero((samples.row % every == 0) & (samples.column % every == 0))
-            samples, predicted, weight = jax.tree.map(lambda v: v[chosen], (samples, predicted, weight))
+            looked_at = np.zeros(self.merged_for.shape, bool)
+            looked_at[::every, ::every] = True
+            chosen = np.flatnonzero(looked_at[samples.row, samples.column])
+            samples = jax.tree.map(lambda values: values[chosen], samples)
+            placed = placed.only(jnp.asarray(np.pad(chosen, (0, samples.padded().row.size - chosen.size))))
+        predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), placed.weight))
         return blind_gain(
             samples,
             predicted,

@@ -155,6 +155,13 @@ class PlacedSamples(eqx.Module):
         return self.taps.index.shape[0]
 
     @eqx.filter_jit
+    def only(self, numbers: Int[Array, " m"]) -> "PlacedSamples":
+        """The samples of these numbers."""
+        taps = jax.tree.map(lambda field: field[:, numbers], self.taps)
+        positions, value, weight = (field[numbers] for field in (self.positions, self.value, self.weight))
+        return PlacedSamples(taps, positions, value, weight, self.scale, self.shape)
+
+    @eqx.filter_jit
     def read(self, u: Float[Array, "H W"]) -> Float[Array, " n"]:
         """r_j · u for every sample."""
         flat, width = u.reshape(-1), self.shape[1]

@@ -86,7 +86,7 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
         if 1 / _NEAR_SECONDS < seconds / usual[0] < _NEAR_SECONDS and abs(decibels - usual[1]) < _NEAR_DECIBELS
     }  # fmt: skip
     seconds, decibels = zip(*sorted(places[row["method"]] for row in rows if row["front"]), strict=True)
-    for axes, shown in zip(panels, (set(places), near), strict=True):
+    for axes, shown, ticks in zip(panels, (set(places), near), ((1,), (1, 2, 5)), strict=True):
         for name in sorted(shown, key=lambda name: (kinds[name] == "default", places[name][1])):
             star = kinds[name] == "default"
             axes.plot(
@@ -94,7 +94,7 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
             )
         axes.set(xscale="log", xlabel="seconds, compiled (by ratios to the default)", ylabel="PSNR, dB")
         axes.xaxis.set_minor_formatter(NullFormatter())  # one power of ten may be all that there is
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_locator(LogLocator(subs=ticks))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.margins(x=0.15, y=0.1)
         axes.autoscale_view()
@@ -135,13 +135,13 @@ def _name_at_the_side(axes: Axes, places: dict[str, tuple[float, float]]) -> Non
 def _name_beside(axes: Axes, places: dict[str, tuple[float, float]]) -> None:
     """The names beside their points, each where it covers none of those before, or lowest of all."""
     points = 72 / axes.figure.dpi
-    right = axes.get_window_extent().x1 * points
+    left, right = (edge * points for edge in axes.get_window_extent().intervalx)
     taken: list[tuple[float, float, float]] = []
     for name, at in sorted(places.items(), key=lambda place: place[1][1]):
         x, y = axes.transData.transform(at) * points
         wide = 4.0 * len(name)
-        beside = [6.0] if x + 6 + wide < right else []
-        offsets = [(dx, dy) for dy in (-2.5, 6.0, -11.0, 14.5, -19.5) for dx in (*beside, -6 - wide)]
+        beside = [dx for dx in (6.0, -6 - wide) if left < x + dx and x + dx + wide < right] or [6.0]
+        offsets = [(dx, dy) for dy in (-2.5, 6.0, -11.0, 14.5, -19.5) for dx in beside]
 
         def free(offset: tuple[float, float], x: float = x, y: float = y, wide: float = wide) -> bool:
             begin, bottom = x + offset[0], y + offset[1]

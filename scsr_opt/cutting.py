@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import SPACING, Trajectory
@@ -40,20 +40,20 @@ def cut_to_seen(samples: Samples, path: Trajectory, *, frames: int, white_rate: 
     every, partly = _usable(path)
     partly = np.asarray(partly)
     # Of several intervals that were merged it is not known in which part the spikes lay.
-    single = samples.value * (samples.stop - samples.start) < 1.5 / white_rate
-    chosen = np.flatnonzero(
-        partly[samples.row, samples.column] & single & (samples.stop - samples.start >= _LONG)
-    )  # fmt: skip
+    duration = samples.stop - samples.start
+    single = samples.value * duration < 1.5 / white_rate
+    chosen = np.flatnonzero(partly[samples.row, samples.column] & single & (duration >= _LONG))
     if chosen.size == 0:
         return samples
     usable = np.asarray(every).reshape(len(every), -1)[:, partly.reshape(-1)]
     number = np.cumsum(partly).reshape(partly.shape) - 1
     start, stop = (np.asarray(times)[chosen] for times in (samples.start, samples.stop))
     pixel = number[samples.row[chosen], samples.column[chosen]]
-    begin, end, least = _longest_stretch(usable, pixel, start, stop, first=float(path.first))
+    enough = _SEEN * usable.max(0)[pixel]
+    begin, end, least = _longest_stretch(usable, pixel, start, stop, enough, first=float(path.first))
     left, weight = end - begin, (end - begin) * np.float32(ends)
     better = (left >= _LEAST) & (left < stop - start)
-    better &= _SEEN * usable.max(0)[pixel] * weight > least * samples.weight[chosen]
+    better &= enough * weight > least * samples.weight[chosen]
     # One of the two at most is where the interval begins or ends; the recording's own ends are no spikes.
     spike = ((begin == start) & (start >= 0)) | ((end == stop) & (stop <= frames - 1))
     value = np.where(spike, np.float32(0.5 / white_rate), 0) / np.maximum(left, _LEAST)
@@ -65,15 +65,16 @@ def cut_to_seen(samples: Samples, path: Trajectory, *, frames: int, white_rate: 
 
 def _longest_stretch(
     usable: Float[np.ndarray, "moments pixels"],
-    pixel: np.ndarray,
+    pixel: Int[np.ndarray, " n"],
     start: Float[np.ndarray, " n"],
     stop: Float[np.ndarray, " n"],
+    enough: Float[np.ndarray, " n"],
     *,
     first: float,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Begin and end of the longest stretch of each exposure in which its pixel counts as seen (0 and 0 if there is
-    none), and the least that it is worth during the exposure; looked at where it begins and ends, and at the moments of
-    the trajectory in between."""
+    """Begin and end, frames, of the longest stretch of each exposure in which its pixel is usable `enough` (0 and 0 if
+    there is none), and the least that it is usable during the exposure. Looked at where the exposure begins and ends,
+    and at the trajectory's moments in between, the `first` of them at that frame."""
     last = len(usable) - 1
     begin, end = ((time - np.float32(first)) / SPACING for time in (start, stop))
     before = np.clip(np.floor(begin), 0, last - 1).astype(np.int32)
@@ -82,7 +83,6 @@ def _longest_stretch(
         usable[k, pixel] + np.clip(at - k, 0, 1).astype(np.float32) * (usable[k + 1, pixel] - usable[k, pixel])
         for k, at in ((before, begin), (after - 1, end))
     )
-    enough = _SEEN * usable.max(0)[pixel]
     order = np.argsort(before - after, kind="stable")  # those with most moments first
     span = (after - before)[order]
     least, since = (np.full(start.size, np.inf, np.float32) for _ in range(2))
@@ -94,8 +94,8 @@ def _longest_stretch(
         if k == 0:
             seen, time = at_start[some], start[some]
         else:
-            ends = moment == after[some]
-            seen, time = np.where(ends, at_stop[some], seen), np.where(ends, stop[some], time)
+            over = moment == after[some]
+            seen, time = np.where(over, at_stop[some], seen), np.where(over, stop[some], time)
         least[some] = np.minimum(least[some], seen)
         good = seen >= enough[some]
         since[some] = np.where(good, np.minimum(since[some], time), np.inf)

@@ -52,6 +52,11 @@ class Stream(NamedTuple):
     white_rate: float
     bad_pixels: Bool[np.ndarray, "h w"] | None
 
+    def part(self, rows: slice, columns: slice) -> "Stream":
+        """The same frames of a part of the sensor."""
+        bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
+        return Stream(self.spikes[:, rows, columns], self.key, self.white_rate, bad)
+
 
 def stream_around(
     recording: Recording,

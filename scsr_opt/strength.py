@@ -35,8 +35,8 @@ from scsr_opt.solvers.smooth import Smooth
 # stills with known answers, several kinds of motion, two lights and two scales (docs/measurements.md).
 _SMOOTHING = 0.06
 
-# Side of the part of the picture that λ is validated on, in high-resolution pixels.
-_SIDE = 256
+# Side of the parts of the picture that λ is validated on, in high-resolution pixels, and how many there are at most.
+_SIDE, _PARTS = 256, 3
 # One sample in so many is held out. Where the scene moves by a sensor pixel, other pixels see what this one sees: all
 # samples of one pixel in five. Where it does not, one stretch of time in five, of so many frames and two intervals at
 # least. Each gap in a pixel's time adds an error at both its ends, which asks for more of a prior than all samples do.
@@ -99,14 +99,33 @@ class Validated(NamedTuple):
     image: Float[Array, "H W"] | None
 
 
-class _Validation(NamedTuple):
-    """Samples to make a picture from, and the weights of those to predict; `by_pixel`: the share of pixels that are
-    held out as a whole or not at all."""
+class _Part:
+    """A part of the picture on which strengths are tried: a picture is made from some of its samples and has to predict
+    the others.
 
-    placed: PlacedSamples
-    held: Float[Array, " n"]
-    plain: DataTerm
-    by_pixel: float
+    **Attributes:** `term`, f of the samples that a picture is made from; `image`, the last picture, (H, W).
+    """
+
+    def __init__(self, placed: PlacedSamples, held: Float[Array, " n"], term: DataTerm, first: Float[Array, "H W"]):
+        """`held`: weights of the samples to predict, which count nothing in `placed`; `first`: X^(0)."""
+        self.term, self.image = term, first
+        self._placed, self._held, self._plain, self._first, self._state = placed, held, term, first, None
+
+    def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
+        """Makes the picture of this strength; it starts at the duals of the last one."""
+        problem = Problem(self.term, prior, jnp.asarray(strength, jnp.float32))
+        outcome = run(solver, problem, self._first, similar=self._state)
+        self._state, self.image = outcome.state, jnp.asarray(outcome.image)
+
+    def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
+        """Takes the motion during exposures, where they are long, from pictures of this strength."""
+        for _ in range(2 if self._placed.finest > 1 else 0):
+            self.solve(solver, prior, strength)
+            self.term = with_exposure(self._plain, self._placed, self.image)
+
+    def missed(self) -> Float[Array, "2"]:
+        """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
+        return _missed(self._placed, self._held, self._plain.blurred(self.image))
 
 
 def validated_strength(
@@ -125,9 +144,10 @@ def validated_strength(
 ) -> Validated:
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more (`_BEYOND`).
 
-    Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. A part of the picture
-    serves, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: the one whose contrast
-    is nearest to the mean of all. A lens makes that part the whole picture, as its blur is made for one size.
+    Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. Up to three parts of
+    the picture serve, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: a plain
+    one, one of middling contrast and a rich one, as one part alone may ask for a quarter or for four times of what the
+    whole does. A lens makes the whole picture one part, as its blur is made for one size.
 
     **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
@@ -139,54 +159,43 @@ def validated_strength(
     least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
     good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
-    rows, columns = _typical(np.asarray(image), scale, side, good)
-    part = Stream(
-        stream.spikes[:, rows, columns],
-        stream.key,
-        stream.white_rate,
-        None if stream.bad_pixels is None else stream.bad_pixels[rows, columns],
-    )
-    gain = None if gain is None else gain[rows, columns]
-    everything = part.spikes.shape == stream.spikes.shape
-    moved = motion.speed[rows, columns] * np.float32(len(stream.spikes))
-    if everything and (taken.merged_for == 1).all():
-        validation = _split(taken.padded, taken.placed, moved, optics)
-    else:
-        # None are merged, as what is held out has to be in pieces.
-        apart = measured(
-            part,
-            taken.path.part(rows, columns),
-            scale=scale,
-            measuring=measuring,
-            gain=gain,
-            merge=False,
-        )
-        validation = _split(apart.padded, apart.placed, moved, optics)
-    if validation is None:
+    moved = motion.speed * np.float32(len(stream.spikes))
+    parts, by_pixels = [], []
+    for area in _chosen(np.asarray(image), scale, side, good):
+        pieces = taken
+        if good[area].shape != good.shape or (taken.merged_for > 1).any():
+            # None are merged, as what is held out has to be in pieces.
+            pieces = measured(
+                stream.part(*area),
+                taken.path.part(*area),
+                scale=scale,
+                measuring=measuring,
+                gain=None if gain is None else gain[area],
+                merge=False,
+            )
+        part = _split(pieces, moved[area], optics, image[_scaled(area, scale)])
+        if part is not None:
+            parts.append(part)
+            by_pixels.append((moved[area] >= _MOVED).mean())
+    if not parts:
         return Validated(least, None)
     # A prior that is used by its gradient need not have a proximal step.
     kind = solver if isinstance(solver, Smooth) else FISTA()
     solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
-    image = first = image[_scaled(rows, scale), _scaled(columns, scale)]
-    term, state = validation.plain, None
-    tried: dict[float, float] = {}
     learned = isinstance(prior, RidgeRegulariser)
     stand_in = HuberTotalVariation() if learned else prior
     share = relative_strength(prior) / relative_strength(stand_in)
+    tried: dict[float, float] = {}
 
-    def solved(factor: float) -> Array:
-        nonlocal state, image
-        λ = jnp.asarray(least * factor / share, jnp.float32)
-        outcome = run(solver, Problem(term, stand_in, λ), first, similar=state)
-        state, image = outcome.state, jnp.asarray(outcome.image)
-        return image
-
-    for _ in range(2 if validation.placed.finest > 1 else 0):  # the motion during exposures is taken from these
-        term = with_exposure(validation.plain, validation.placed, solved(1.0))
+    for part in parts:
+        part.expose(solver, stand_in, least / share)
 
     def missed(factor: float) -> float:
         if factor not in tried:
-            tried[factor] = float(_missed(validation, solved(factor)))
+            for part in parts:
+                part.solve(solver, stand_in, least * factor / share)
+            squares, weights = np.sum([part.missed() for part in parts], axis=0)
+            tried[factor] = float(squares / weights)
         return tried[factor]
 
     best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
@@ -195,22 +204,22 @@ def validated_strength(
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2
     best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
-    beyond, at_least = (
-        by_time ** (1 - validation.by_pixel) * by_pixel**validation.by_pixel
-        for by_time, by_pixel in (_BEYOND, _AT_LEAST)
-    )
+    by_pixel = float(np.mean(by_pixels))
+    beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
     if learned:
         best = _STAND_IN[0] * best ** _STAND_IN[1]
-    usable = everything and bool(jnp.isfinite(image).all())
-    return Validated(least * max(at_least, beyond * best), image if usable else None)
+    last = parts[0].image
+    usable = last.shape == image.shape and bool(jnp.isfinite(last).all())
+    return Validated(least * max(at_least, beyond * best), last if usable else None)
 
 
-def _typical(
+def _chosen(
     image: Float[np.ndarray, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
-) -> tuple[slice, slice]:
-    """The rows and columns, sensor pixels, of a part of up to `side` a side whose mean contrast in `image` is nearest
-    to that of all; of parts that overlap by half or more, the one nearest to the middle among equals. Only `good`
-    pixels count, and parts with less than half their share of them are left out."""
+) -> list[tuple[slice, slice]]:
+    """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `_PARTS` at most. All
+    parts that overlap by up to half are sorted by their mean contrast in `image` into as many groups; of each, the one
+    nearest to the group's mean is taken, of equals that nearest to the middle. Only `good` pixels count, and parts with
+    less than half their share of them are left out."""
     height, width = good.shape
     down, right = (np.diff(image, axis=k, prepend=np.take(image, [0], k)) for k in (0, 1))
     contrast = good * (np.abs(down) + np.abs(right)).reshape(height, scale, width, scale).mean((1, 3))
@@ -219,26 +228,31 @@ def _typical(
     places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
     parts = [(slice(row, min(row + side, height)), slice(column, min(column + side, width)))
              for row, column in places.tolist()]  # fmt: skip
-    off = [abs(contrast[part].sum() / max(good[part].sum(), 1) - contrast.sum() / max(good.sum(), 1)) for part in parts]
-    few = [good[part].mean() < good.mean() / 2 for part in parts]
-    return parts[int(np.where(few, np.inf, off).argmin())]
+    parts = [part for part in parts if good[part].mean() >= good.mean() / 2]
+    rich = np.array([contrast[part].sum() / max(good[part].sum(), 1) for part in parts])
+    fitting = max(1, good.size // side**2)
+    groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), _PARTS))
+    return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
 
 
-def _scaled(of: slice, scale: int) -> slice:
+def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
     """The high-resolution pixels of sensor pixels."""
-    return slice(scale * of.start, scale * of.stop)
+    rows, columns = area
+    return slice(scale * rows.start, scale * rows.stop), slice(scale * columns.start, scale * columns.stop)
 
 
 def _split(
-    samples: Samples, placed: PlacedSamples, moved: Float[np.ndarray, "h w"], optics: LinearOperator | None
-) -> _Validation | None:
+    taken: Measurements,
+    moved: Float[np.ndarray, "h w"],
+    optics: LinearOperator | None,
+    first: Float[Array, "H W"],
+) -> _Part | None:
     """The samples, a fifth of them held out; None if there are too few to do so."""
-    held, weight = _held_out(samples, moved), np.asarray(placed.weight)
+    held, weight = _held_out(taken.padded, moved), np.asarray(taken.placed.weight)
     if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
         return None
-    rest = eqx.tree_at(lambda p: p.weight, placed, jnp.asarray(weight * ~held))
-    by_pixel = float((moved >= _MOVED).mean())
-    return _Validation(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), by_pixel)
+    rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
+    return _Part(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), first)
 
 
 def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
@@ -259,11 +273,10 @@ def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndar
 
 
 @eqx.filter_jit
-def _missed(validation: _Validation, image: Float[Array, "H W"]) -> Float[Array, ""]:
-    """Mean square by which the picture misses the held-out samples."""
-    placed = validation.placed
-    error = placed.read(validation.plain.blurred(image)) - placed.value
-    return jnp.sum(validation.held * error**2) / jnp.sum(validation.held)
+def _missed(placed: PlacedSamples, held: Float[Array, " n"], blurred: Float[Array, "H W"]) -> Float[Array, "2"]:
+    """Sums of the weighted squares by which the blurred picture misses the held-out samples, and of their weights."""
+    error = placed.read(blurred) - placed.value
+    return jnp.stack([jnp.sum(held * error**2), jnp.sum(held)])
 
 
 def _vertex(before: float, at: float, after: float) -> float:

@@ -26,8 +26,8 @@ from scsr_opt.solvers import FISTA, LBFGS, Solver
 from scsr_opt.strength import (
     _BEYOND,
     _STAND_IN,
+    _chosen,
     _held_out,
-    _typical,
     _vertex,
     noise_of_mean,
     strength_of_noise,
@@ -195,23 +195,36 @@ def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
 
 @pytest.mark.parametrize(
     ("shape", "side", "found"),
-    [((20, 8), 4, (slice(8, 12), slice(2, 6))), ((5, 3), 8, (slice(0, 5), slice(0, 3))), ((1, 9), 4, (slice(0, 1),))],
+    [((7, 4), 4, (slice(2, 6), slice(0, 4))), ((5, 3), 8, (slice(0, 5), slice(0, 3))), ((1, 9), 4, None)],
 )
-def test_of_an_even_picture_the_middle_is_typical(shape, side, found):
-    parts = _typical(np.ones((2 * shape[0], 2 * shape[1]), np.float32), 2, side, np.ones(shape, bool))
-    assert parts[: len(found)] == found
+def test_of_a_small_even_picture_one_part_serves_in_the_middle(shape, side, found):
+    parts = _chosen(np.ones((2 * shape[0], 2 * shape[1]), np.float32), 2, side, np.ones(shape, bool))
+    assert parts == [found if found else (slice(0, 1), slice(2, 6))]
 
 
-def test_a_plain_middle_is_not_typical_nor_are_bad_pixels():
-    """A third of the picture is textured, the middle is not: the edge of the texture is as rich as the mean."""
+def test_a_plain_a_middling_and_a_rich_part_are_chosen():
+    """A third of the picture is textured; the bad pixels, which fire as they like, are not looked at."""
     image = np.random.default_rng(0).random((120, 120), np.float32)
     image[:, :80] = 0.5
     good = np.ones((120, 120), bool)
-    rows, columns = _typical(image, 1, 40, good)
-    assert columns.start < 80 < columns.stop
+    textured = [np.mean(np.arange(120)[columns] >= 80) for _, columns in _chosen(image, 1, 40, good)]
+    assert textured[0] == 0 < textured[-1] and textured == sorted(textured)
     good[:, 60:] = False
-    rows, columns = _typical(image, 1, 40, good)
-    assert columns.start < 60
+    assert all(columns.start < 60 for _, columns in _chosen(image, 1, 40, good))
+    good[:, 20:] = False  # three parts are left, which lie on top of one another
+    assert len(_chosen(image, 1, 40, good)) == 3
+    good[20:] = False
+    assert _chosen(image, 1, 40, good) == [(slice(0, 40), slice(0, 40))]
+
+
+def test_all_chosen_parts_have_a_say():
+    """A picture of four tiles, one textured, three plain: its λ is neither that of the one nor that of the others."""
+    picture = np.full((400, 400), 0.5)
+    picture[:200, :200] = data.gravel()[:200, :200] / 255
+    textured, plain, whole = (
+        validated(still(part, photons=1000.0)) for part in (picture[:200, :200], picture[200:, 200:], picture)
+    )
+    assert 1.5 * textured < whole < plain / 1.5
 
 
 def test_the_vertex_of_a_parabola():

@@ -40,8 +40,8 @@ from scsr_opt.strength import Validated, noise_of_mean, relative_strength, stren
 FRAMES = 101
 # Turns of picture and gain: one gets most, two all.
 _TURNS = 2
-# Pixels, about, whose gains say whether there is a fixed pattern: their spread is known to 2 % of itself.
-_LOOKED_AT = 1600
+# Pixels, about, whose gains say whether there is a fixed pattern: their spread is known to 4 % of itself.
+_LOOKED_AT = 400
 
 
 def reconstruct(
@@ -198,7 +198,7 @@ def reconstruct(
     measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
     turns = _TURNS if blind else 0
     if blind and gain == "auto" and found.outcome.result.good:
-        every = max(1, int((height * width / _LOOKED_AT) ** 0.5))
+        every = max(1, int((np.count_nonzero(known) / _LOOKED_AT) ** 0.5))
         few = measured_as.gain(stream, motion, found.blurred, every=every)
         learned["gain_spread"] = spread_of(few[::every, ::every], known[::every, ::every])
         turns = _TURNS if learned["gain_spread"] >= FIXED_PATTERN else 0

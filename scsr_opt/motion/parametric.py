@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.trajectory import Motion, bilinear
@@ -67,7 +68,8 @@ def parametric(
     """One velocity (and acceleration) for the whole scene, or one that varies linearly or as a tilting plane's.
 
     Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
-    occlusion), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
+    occlusion) and where the scene moves by a pixel or more from spike to spike (what passes meanwhile looks as if it
+    stood still), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
     perspective motion, twice that with the acceleration that is fitted last; each of these only where the recording
     asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity: its mean, or where
     it varies the affine one nearest to it, whose numbers are then all fitted. With `where`, only these pixels of the
@@ -75,7 +77,7 @@ def parametric(
     everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to all moments once more.
     """
     height, width = pictures.picture.shape[1:]
-    points = _points(height, width, where)
+    points = _points(height, width, where, pictures.firing)
     numbers = np.zeros((2, _GENERATORS), np.float32)
     active = np.zeros((2, _GENERATORS), bool)
     active[0, _SHIFTS] = True
@@ -126,17 +128,28 @@ def parametric(
     return Motion(velocity, acceleration, np.ones((height, width), np.float32))
 
 
+# Sensor pixels over which the rate of firing is averaged, and the least one that is told from none.
+_AROUND, _SELDOM = 2.0, 1e-3
+
+
 class _Points(NamedTuple):
     """Where in the key frame is looked: `position` (2, n), between pixels, where the slope of bilinear interpolation is
-    that of both sides; `fields` (8, 2, n), the generators there; `block`; `region` 1, or 0 where an entry only pads."""
+    that of both sides; `fields` (8, 2, n), the generators there; `block`; `region` 1, or 0 where an entry only pads;
+    `interval`, frames from spike to spike, 0 where that is not taken into account."""
 
     position: Float[np.ndarray, "2 n"]
     fields: Float[np.ndarray, "8 2 n"]
     block: Int[np.ndarray, " n"]
     region: Float[np.ndarray, " n"]
+    interval: Float[np.ndarray, " n"]
 
 
-def _points(height: int, width: int, where: Bool[np.ndarray, "h w"] | None) -> _Points:
+def _points(
+    height: int,
+    width: int,
+    where: Bool[np.ndarray, "h w"] | None,
+    firing: Float[np.ndarray | Array, "h w"] | None,
+) -> _Points:
     inner = np.ones((height - 1, width - 1), bool) if where is None else where[:-1, :-1]
     row, column = np.nonzero(inner)
     size = _LEAST_POINTS
@@ -155,7 +168,12 @@ def _points(height: int, width: int, where: Bool[np.ndarray, "h w"] | None) -> _
     row, column, block_of = (np.pad(v, pad) for v in (row, column, block(row) * _BLOCKS + block(column)))
     position = np.stack([row, column]).astype(np.float32) + np.float32(0.5)
     region = np.pad(np.ones(size - pad[1], np.float32), pad)
-    return _Points(position, generators(position, height, width), block_of.astype(np.int32), region)
+    interval = np.zeros(size, np.float32)
+    # Not in a region: it may hold several surfaces, and how often they fire says which, not how well it is seen.
+    if firing is not None and where is None:
+        around = gaussian_filter(np.asarray(firing), _AROUND, mode="nearest")[row, column]
+        interval = 1 / np.maximum(around, _SELDOM)
+    return _Points(position, generators(position, height, width), block_of.astype(np.int32), region, interval)
 
 
 class _Votes(NamedTuple):
@@ -239,6 +257,8 @@ def _fit(
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
         usual = jnp.nanquantile(jnp.where(points.region > 0, mismatch, jnp.nan), majority)
         trust = points.region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
+        # What passes within an interval looks as if it stood still.
+        trust = trust / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
         regressors = ((slopes / seen[None])[None] * points.fields).sum(1)
         weights = spread * trust[None, None]
         matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]

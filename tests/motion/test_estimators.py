@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from skimage import data
 
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
@@ -53,6 +54,16 @@ def test_phase_correlation_holds_in_dim_light_and_starts_the_affine_fit_there():
     for estimator, bound in ((PhaseCorrelation(), 0.01), (Global(), 0.05)):
         velocity = estimate_motion(spikes, key=50, white_rate=0.12, estimator=estimator).velocity
         assert np.abs(velocity - np.array([0.18, -0.24])[:, None, None]).max() < bound
+
+
+def test_one_motion_is_found_in_dim_light():
+    """Where a pixel fires once in several pixels of motion, it cannot contradict that motion."""
+    scene = Translation(data.camera()[88:248, 176:336] / 255, (0.14, -0.24), key=50)
+    spikes = simulate(scene, scale=2, sensor=Sensor(white_rate=0.1, photons=25.0)).spikes
+    motion = estimate_motion(spikes, key=50, white_rate=0.1)
+    assert motion.layers is None
+    assert np.ptp(motion.velocity, axis=(1, 2)).max() == 0
+    assert np.abs(motion.velocity[:, 0, 0] - np.array([0.07, -0.12])).max() < 0.005
 
 
 # Thirty sensor pixels over the recording: a comparison of its first with its last picture breaks there. Two of three

@@ -130,15 +130,18 @@ class Measurements(NamedTuple):
         return self._replace(padded=padded, placed=placed)
 
     def gain(
-        self, stream: Stream, motion: Motion, blurred: Float[Array, "H W"], *, every: int = 1
+        self,
+        stream: Stream,
+        motion: Motion,
+        blurred: Float[Array, "H W"],
+        *,
+        of: Bool[np.ndarray, "h w"] | None = None,
     ) -> Float[np.ndarray, "h w"]:
-        """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), of one row and column
-        in `every`; 1 elsewhere."""
+        """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), `of` some pixels only
+        if given; 1 elsewhere."""
         samples, placed = self.samples, self.placed
-        if every > 1:
-            looked_at = np.zeros(self.merged_for.shape, bool)
-            looked_at[::every, ::every] = True
-            chosen = np.flatnonzero(looked_at[samples.row, samples.column])
+        if of is not None:
+            chosen = np.flatnonzero(of.reshape(-1)[samples.row * of.shape[1] + samples.column])
             samples = jax.tree.map(lambda values: values[chosen], samples)
             placed = placed.only(jnp.asarray(np.pad(chosen, (0, samples.padded().row.size - chosen.size))))
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), placed.weight))

@@ -198,9 +198,11 @@ def reconstruct(
     measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
     turns = _TURNS if blind else 0
     if blind and gain == "auto" and found.outcome.result.good:
-        every = max(1, int((np.count_nonzero(known) / _LOOKED_AT) ** 0.5))
-        few = measured_as.gain(stream, motion, found.blurred, every=every)
-        learned["gain_spread"] = spread_of(few[::every, ::every], known[::every, ::every])
+        few = np.zeros(known.size, bool)
+        few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT)]] = True
+        few = few.reshape(known.shape)
+        looked = measured_as.gain(stream, motion, found.blurred, of=few) if few.any() else np.ones_like(motion.speed)
+        learned["gain_spread"] = spread_of(looked, few)
         turns = _TURNS if learned["gain_spread"] >= FIXED_PATTERN else 0
     for turn in range(turns):
         if not found.outcome.result.good:

@@ -103,17 +103,18 @@ class _Part:
     """A part of the picture on which strengths are tried: a picture is made from some of its samples and has to predict
     the others.
 
-    **Attributes:** `term`, f of the samples that a picture is made from; `image`, the last picture, (H, W).
+    **Attributes:** `image`, the last picture, (H, W).
     """
 
     def __init__(self, placed: PlacedSamples, held: Float[Array, " n"], term: DataTerm, first: Float[Array, "H W"]):
-        """`held`: weights of the samples to predict, which count nothing in `placed`; `first`: X^(0)."""
-        self.term, self.image = term, first
+        """`held`: weights of the samples to predict, which count nothing in `placed`; `term`: f of the others; `first`:
+        X^(0)."""
+        self.image, self._term = first, term
         self._placed, self._held, self._plain, self._first, self._state = placed, held, term, first, None
 
     def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
         """Makes the picture of this strength; it starts at the duals of the last one."""
-        problem = Problem(self.term, prior, jnp.asarray(strength, jnp.float32))
+        problem = Problem(self._term, prior, jnp.asarray(strength, jnp.float32))
         outcome = run(solver, problem, self._first, similar=self._state)
         self._state, self.image = outcome.state, jnp.asarray(outcome.image)
 
@@ -121,7 +122,7 @@ class _Part:
         """Takes the motion during exposures, where they are long, from pictures of this strength."""
         for _ in range(2 if self._placed.finest > 1 else 0):
             self.solve(solver, prior, strength)
-            self.term = with_exposure(self._plain, self._placed, self.image)
+            self._term = with_exposure(self._plain, self._placed, self.image)
 
     def missed(self) -> Float[Array, "2"]:
         """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
@@ -228,9 +229,9 @@ def _chosen(
     places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
     parts = [(slice(row, min(row + side, height)), slice(column, min(column + side, width)))
              for row, column in places.tolist()]  # fmt: skip
-    parts = [part for part in parts if good[part].mean() >= good.mean() / 2]
+    parts = [part for part in parts if good[part].mean() >= good.mean() / 2] or parts
     rich = np.array([contrast[part].sum() / max(good[part].sum(), 1) for part in parts])
-    fitting = max(1, good.size // side**2)
+    fitting = max(1, good.size // (min(side, height) * min(side, width)))
     groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), _PARTS))
     return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
 

@@ -27,11 +27,15 @@ _SMEAR = 1.4
 def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where the recording contradicts `motion`, see above."""
     evidence, drifted, _ = _evidence(pictures, motion)
-    against = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
+    return np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT)) & heard(pictures, motion)
+
+
+def heard(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
+    """Where pixels fire often enough to contradict this motion, see above."""
     if pictures.firing is None:
-        return against
+        return np.ones(motion.speed.shape, bool)
     firing = np.asarray(smooth(pictures.firing, jnp.asarray(_WINDOW)))
-    return against & (motion.speed <= _SMEAR * firing)
+    return motion.speed <= _SMEAR * firing
 
 
 def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:

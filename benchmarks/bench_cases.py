@@ -72,7 +72,8 @@ FULL = Size(
 )  # fmt: skip
 QUICK = Size(
     scales=(2,), solvers=("ISTA", "FISTA", "ADMM", "CondatVu", "LBFGS"), priors=("TV",),
-    methods=("reconstruct", "reconstruct, Global motion", "unrolled", "shift_and_add", "tfp_bicubic", "tfp_sr"),
+    methods=("reconstruct", "reconstruct, again", "reconstruct, Global motion", "unrolled", "shift_and_add",
+             "tfp_bicubic", "tfp_sr"),
     careful=False, sensor=40, rounds=5, exact=200, seconds=0.3, recordings=(("camera", "pan"),), lights=("day",),
     repeats=5, frames=(20, 101), still=40, sides=(40, 80), picture=(1000, 1600), accumulated=(FRAMES, 250, 400, 4),
 )  # fmt: skip

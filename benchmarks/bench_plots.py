@@ -12,6 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.bench_scaling import PARTS
 from benchmarks.bench_timing import ratios
+from benchmarks.bench_whole import TWICE
 
 SAID = {
     "solvers": "Left: objective above its minimum, right: PSNR, against time; a row for each scale",
@@ -24,7 +25,7 @@ SAID = {
 _NEAR_SECONDS, _NEAR_DECIBELS = 6.0, 1.6
 # Height of a line of names, as a share of the panel's.
 _LINE = 0.04
-_COLOURS = {"default": "C3", "variant": "C1", "learned": "C2", "baseline": "C0"}
+_COLOURS = {"default": "C3", TWICE: "black", "variant": "C1", "learned": "C2", "baseline": "C0"}
 
 
 def plots(figures: dict[str, Any]) -> dict[str, Callable[[], Figure]]:
@@ -85,7 +86,9 @@ def _front(case: str, rows: list[dict[str, Any]]) -> Figure:
         name for name, (seconds, decibels) in places.items()
         if 1 / _NEAR_SECONDS < seconds / usual[0] < _NEAR_SECONDS and abs(decibels - usual[1]) < _NEAR_DECIBELS
     }  # fmt: skip
-    seconds, decibels = zip(*sorted(places[row["method"]] for row in rows if row["front"]), strict=True)
+    seconds, decibels = zip(
+        *sorted(places[row["method"]] for row in rows if row["front"] and row["kind"] != TWICE), strict=True
+    )
     for axes, shown, ticks in zip(panels, (set(places), near), ((1,), (1, 2, 5)), strict=True):
         for name in sorted(shown, key=lambda name: (kinds[name] == "default", places[name][1])):
             star = kinds[name] == "default"

@@ -154,8 +154,8 @@ def test_the_design_is_what_the_page_says():
         assert set(bench_cases.QUICK.methods or ()) <= set(names)
 
 
-def row_of(seconds: list[float], psnr: float) -> dict[str, Any]:
-    return {"seconds": [seconds], "psnr": [psnr]}
+def row_of(seconds: list[float], psnr: float, kind: str = "variant") -> dict[str, Any]:
+    return {"seconds": [seconds], "psnr": [psnr], "kind": kind}
 
 
 def test_the_front_is_what_nothing_beats():
@@ -171,6 +171,17 @@ def test_times_are_compared_round_by_round_and_beyond_chance():
     assert bench_whole.beats(row_of([0.9, 2.1, 0.9, 9.1], 25.02), usual)  # but better
     assert not bench_whole.beats(row_of([0.9, 2.1, 1.1, 9.1], 25.02), usual)
     assert not bench_whole.beats(row_of([0.5, 1.0, 0.5, 4.5], 24.98), usual)
+
+
+def test_what_the_same_method_differs_by_is_no_difference():
+    usual = row_of([1.0, 1.0, 1.0, 1.0], 25.0, "default")
+    quicker, again = row_of([0.97] * 4, 25.0), row_of([0.95, 1.0, 1.02, 0.95], 25.0, "default again")
+    assert bench_whole.chance([usual, quicker]) == 1 and bench_whole.front([usual, quicker]) == [False, True]
+    assert bench_whole.chance([usual, quicker, again]) == pytest.approx(0.95)
+    assert bench_whole.front([usual, quicker, again])[:2] == [True, True]
+    assert bench_whole.front([usual, row_of([0.94] * 4, 25.0), again])[:2] == [False, True]
+    slower = row_of([1.0, 1.0, 1.25, 1.25], 25.0, "default again")
+    assert bench_whole.chance([usual, slower]) == pytest.approx(0.8)
 
 
 def test_calls_take_turns():

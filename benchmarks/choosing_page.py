@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.choosing_solvers import GAPS
@@ -93,10 +94,13 @@ def _curves(results: dict[str, Any]) -> Figure:
     for axes, (title, result) in zip(panels, results.items(), strict=False):
         for name, row in result["rows"].items():
             number = names.index(name)
-            times = [np.median(one["seconds"]) for one in row["reached"]]
+            times = [1e3 * np.median(one["seconds"]) for one in row["reached"]]
             style: dict[str, Any] = {"color": f"C{number % 10}", "linestyle": "-" if number < 10 else "--"}
             axes.loglog(times, [one["above"] for one in row["reached"]], marker=".", label=name, **style)
-        axes.set(title=title, xlabel="seconds, compiled")
+        axes.set(title=title, xlabel="milliseconds, compiled")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.grid(alpha=0.3)
     for axes in panels[len(results) :]:
         axes.remove()

@@ -27,14 +27,14 @@ EACH = 2
 _SEED = 2023  # apart from the seeds people give to training; the pictures are others in any case
 
 
-def validation_set(scale: int, frames: int, patch: int) -> list[tuple[str, Example]]:
-    """(kind, example) of every recording."""
+def validation_set(scale: int, frames: int, patch: int, *, each: int = EACH) -> list[tuple[str, Example]]:
+    """(kind, example) of every recording, `each` of a kind."""
     pictures = Pictures.samples(HELD_OUT_SAMPLES)
     sets = {
         kind: Examples(scale, frames, patch, _SEED, scenes=(kind,), lights=("day",), pictures=pictures, varied=False)
         for kind in KINDS
     }
-    return [(kind, examples[n]) for kind, examples in sets.items() for n in range(EACH)]
+    return [(kind, examples[n]) for kind, examples in sets.items() for n in range(each)]
 
 
 def quality(truth: Float[Any, "H W"], image: Float[Any, "H W"], border: int) -> tuple[float, float]:

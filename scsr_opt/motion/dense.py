@@ -1,4 +1,4 @@
-"""A velocity for each pixel, from all moments of the recording at once."""
+"""A velocity and an acceleration for each pixel, from all moments of the recording at once."""
 
 import jax
 import jax.numpy as jnp
@@ -9,44 +9,87 @@ from scipy.ndimage import median_filter
 from scsr_opt.motion.alignment import Stretches, drift, smooth
 from scsr_opt.motion.trajectory import Motion
 
-# (frames from the key frame, presmoothing, window, steps), sensor pixels: near times and wide windows first.
-_SCHEDULE = ((8, 2.0, 6.0, 8), (16, 1.5, 4.0, 6), (32, 1.0, 3.0, 6), (np.inf, 0.8, 2.5, 6))
+_VELOCITY, _ACCELERATION = 0, 1
+_WIDE = 6.0  # sensor pixels, a window
+# What is looked for, and how: frames from the key frame, presmoothing and window (sensor pixels), steps. Near times and
+# wide windows first. An acceleration is known less well than a velocity, so it is taken from wider windows.
+_SCHEDULE = (
+    (_VELOCITY, (8, 2.0, 6.0, 8)),
+    (_VELOCITY, (16, 1.5, 4.0, 6)),
+    (_VELOCITY, (32, 1.0, 3.0, 6)),
+    (_VELOCITY, (np.inf, 0.8, 2.5, 6)),
+    *((_ACCELERATION, (np.inf, 0.8, _WIDE, 1)), (_VELOCITY, (np.inf, 0.8, 4.0, 1))) * 3,
+)
 
+# What |a|² times its information in a window comes to by chance, on average, where nothing accelerates (pans by day).
+# Noise that neighbouring pictures share adds up instead of averaging out: in dim light it is ten times that.
+_CHANCE = 0.03
 # Side of the square of pixels that vote on a velocity after each part of the schedule.
 _VOTERS = 5
 
 
 def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
-    """Least squares in a Gaussian window around each pixel (Lucas and Kanade, 1981), over all moments at once.
+    """Least squares in a Gaussian window around each pixel (Lucas and Kanade, 1981), over all moments at once: first
+    for the velocity, from near times to far ones, then for acceleration and velocity in turns.
 
-    Where a window has no texture its velocity stays near `start` (nothing moves, if not given).
+    Where a window has no texture they stay near those of `start` (nothing moves, if not given).
     """
     height, width = pictures.picture.shape[1:]
     if start is None:
         start = Motion.none(height, width)
-    velocity = base = jnp.asarray(start.velocity)
-    acceleration = jnp.asarray(start.acceleration)
+    # What has left the picture halfway through the recording cannot have been followed.
+    longest = float(jnp.max(jnp.abs(pictures.after)) + 1)
+    limits = 0.5 * max(height, width) / longest, max(height, width) / longest**2
+    field = base = jnp.stack([jnp.asarray(start.velocity), jnp.asarray(start.acceleration)])
     confidence = jnp.ones((height, width), jnp.float32)
-    for reach, sigma, window, steps in _SCHEDULE:
+    by_chance = _by_chance(pictures)
+    for which, (reach, sigma, window, steps) in _SCHEDULE:
         part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
-        velocity, confidence = _refine(
+        field, found = _refine(
             pictures.presmoothed(sigma).picture,
             pictures.after,
             part,
-            velocity,
-            acceleration,
+            field,
             base,
+            jnp.asarray(which, jnp.int32),
             # A step of more pixels than this at the farthest moment is beyond what the linearisation knows.
             jnp.asarray(sigma + 0.5),
             jnp.asarray(window),
             jnp.asarray(steps),
         )
         # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
-        velocity = jnp.asarray(median_filter(np.asarray(velocity), (1, _VOTERS, _VOTERS), mode="nearest"))
-        # What has left the picture halfway through the recording cannot have been followed.
-        limit = 0.5 * max(height, width) / float(jnp.max(jnp.abs(pictures.after)) + 1)
-        velocity = jnp.clip(velocity, -limit, limit)
-    return Motion(np.asarray(velocity), start.acceleration, np.asarray(confidence))
+        voted = median_filter(np.asarray(field[which]), (1, _VOTERS, _VOTERS), mode="nearest")
+        voted = jnp.asarray(np.clip(voted, -limits[which], limits[which]))
+        if which == _VELOCITY:
+            confidence = found
+        else:
+            voted = _believed(voted, base[which], found, by_chance, jnp.asarray(longest**2 / 2, jnp.float32))
+        field = field.at[which].set(voted)
+    velocity, acceleration = np.asarray(field)
+    return Motion(velocity, acceleration, np.asarray(confidence))
+
+
+def _by_chance(pictures: Stretches) -> Float[Array, "*hw"]:
+    """`_CHANCE`, times the number of pictures that the intervals of a pixel last: these share its noise."""
+    if pictures.firing is None or pictures.after.size < 2:
+        return jnp.asarray(_CHANCE, jnp.float32)
+    frames = (pictures.after[-1] - pictures.after[0]) / (pictures.after.size - 1)
+    spikes = smooth(pictures.firing, jnp.asarray(_WIDE)) * frames
+    return _CHANCE / jnp.clip(spikes, 1e-3, 1)
+
+
+@jax.jit
+def _believed(
+    acceleration: Float[Array, "2 h w"],
+    base: Float[Array, "2 h w"],
+    confidence: Float[Array, "h w"],
+    by_chance: Float[Array, "*hw"],
+    lever: Float[Array, ""],
+) -> Float[Array, "2 h w"]:
+    """An acceleration drawn towards `base` as far as chance explains what it differs by (James and Stein, 1961)."""
+    differs = lever**2 * ((acceleration - base) ** 2).sum(0)
+    evidence = differs * confidence / jnp.maximum(1 - confidence, 1e-6)
+    return base + jnp.maximum(0, 1 - by_chance / jnp.maximum(evidence, 1e-12))[None] * (acceleration - base)
 
 
 @jax.jit
@@ -54,35 +97,37 @@ def _refine(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
     part: Float[Array, " n"],
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
-    base: Float[Array, "2 h w"],
+    field: Float[Array, "2 2 h w"],
+    base: Float[Array, "2 2 h w"],
+    which: Int[Array, ""],
     bound: Float[Array, ""],
     window: Float[Array, ""],
     steps: Int[Array, ""],
-) -> tuple[Float[Array, "2 h w"], Float[Array, "h w"]]:
+) -> tuple[Float[Array, "2 2 h w"], Float[Array, "h w"]]:
+    """`field`, velocity and acceleration, after some steps for one of them, and how well that one is known, 0 to 1."""
     longest = jnp.max(jnp.abs(after) * part)
+    # Pixels that a unit of it is worth at the farthest moment.
+    lever = jnp.where(which == _VELOCITY, longest, longest**2 / 2)
 
     def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        velocity, _ = carry
-        now = drift(pictures, after, part, (velocity, acceleration))
-        spread, change = now.spread[0, 0], now.change[0]
+        field, _ = carry
+        now = drift(pictures, after, part, (field[0], field[1]))
+        spread, change = now.spread[which, which], now.change[which]
         noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
-        # Per unit of residual variance: the information about the velocity in the window.
+        # Per unit of residual variance: the information in the window.
         information = smooth(spread[None, None] * now.slope[:, None] * now.slope[None], window) / noise[None, None]
         pull = -smooth(change[None] * now.slope, window) / noise[None]
-        # As if the velocity were known beforehand to within 2 px over the recording: decides only where nothing else
-        # does.
-        prior = (longest / 2) ** 2
-        pull = pull + prior * (base - velocity) * 0.01
-        a, b, d = information[0, 0] + 0.01 * prior, information[0, 1], information[1, 1] + 0.01 * prior
+        # As if it were known beforehand to within 2 px over the recording: decides only where nothing else does.
+        prior = 0.01 * (lever / 2) ** 2
+        pull = pull + prior * (base[which] - field[which])
+        a, b, d = information[0, 0] + prior, information[0, 1], information[1, 1] + prior
         determinant = a * d - b * b
         update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / determinant[None]
         length = jnp.sqrt((update**2).sum(0))
-        velocity = velocity + update * jnp.minimum(1, bound / longest / jnp.maximum(length, 1e-12))[None]
+        update = update * jnp.minimum(1, bound / lever / jnp.maximum(length, 1e-12))[None]
         # Variance of the poorer component over the recording, in sensor pixels.
         poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
-        confidence = 1 / (1 + longest**2 / jnp.maximum(poorest, 1e-12))
-        return velocity, confidence
+        confidence = 1 / (1 + lever**2 / jnp.maximum(poorest, 1e-12))
+        return field.at[which].add(update), confidence
 
-    return jax.lax.fori_loop(0, steps, step, (velocity, jnp.ones_like(velocity[0])))
+    return jax.lax.fori_loop(0, steps, step, (field, jnp.ones_like(field[0, 0])))

@@ -69,7 +69,7 @@ class Global(Estimator):
 
 
 class Dense(Estimator):
-    """A velocity for each pixel (`dense`), constant over time; no edges, no occlusion, no acceleration."""
+    """A velocity and an acceleration for each pixel (`dense`); no edges, no occlusion."""
 
     def __call__(self, pictures: Stretches) -> Motion:
         return dense(pictures)

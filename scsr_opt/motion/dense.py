@@ -23,8 +23,8 @@ _SCHEDULE = (
 
 # What |a|² times its information in a window comes to by chance, on average, where nothing accelerates (pans by day).
 # Noise that neighbouring pictures share adds up instead of averaging out: in dim light it is ten times that.
-_CHANCE = 0.03
-# Side of the square of pixels that vote on a velocity after each part of the schedule.
+_CHANCE = 0.05
+# Side of the square of pixels that vote after each part of the schedule.
 _VOTERS = 5
 
 
@@ -37,15 +37,16 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
     height, width = pictures.picture.shape[1:]
     if start is None:
         start = Motion.none(height, width)
+    distance = np.sort(np.abs(np.asarray(pictures.after)))
     # What has left the picture halfway through the recording cannot have been followed.
-    longest = float(jnp.max(jnp.abs(pictures.after)) + 1)
-    limits = 0.5 * max(height, width) / longest, max(height, width) / longest**2
+    limits = 0.5 * max(height, width) / (distance[-1] + 1), max(height, width) / (distance[-1] + 1) ** 2
     field = base = jnp.stack([jnp.asarray(start.velocity), jnp.asarray(start.acceleration)])
     confidence = jnp.ones((height, width), jnp.float32)
     by_chance = _by_chance(pictures)
     for which, (reach, sigma, window, steps) in _SCHEDULE:
-        part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
-        field, found = _refine(
+        # Three moments at least, however far apart they are.
+        part = (jnp.abs(pictures.after) <= max(reach, distance[min(2, distance.size - 1)])).astype(jnp.float32)
+        field, information = _refine(
             pictures.presmoothed(sigma).picture,
             pictures.after,
             part,
@@ -53,17 +54,18 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
             base,
             jnp.asarray(which, jnp.int32),
             # A step of more pixels than this at the farthest moment is beyond what the linearisation knows.
-            jnp.asarray(sigma + 0.5),
-            jnp.asarray(window),
-            jnp.asarray(steps),
+            jnp.asarray(sigma + 0.5, jnp.float32),
+            jnp.asarray(window, jnp.float32),
+            jnp.asarray(steps, jnp.int32),
         )
         # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
         voted = median_filter(np.asarray(field[which]), (1, _VOTERS, _VOTERS), mode="nearest")
         voted = jnp.asarray(np.clip(voted, -limits[which], limits[which]))
         if which == _VELOCITY:
-            confidence = found
+            longest = jnp.max(jnp.abs(pictures.after) * part)
+            confidence = _confidence(information, longest)
         else:
-            voted = _believed(voted, base[which], found, by_chance, jnp.asarray(longest**2 / 2, jnp.float32))
+            voted = _believed(voted, base[which], information, by_chance)
         field = field.at[which].set(voted)
     velocity, acceleration = np.asarray(field)
     return Motion(velocity, acceleration, np.asarray(confidence))
@@ -82,14 +84,22 @@ def _by_chance(pictures: Stretches) -> Float[Array, "*hw"]:
 def _believed(
     acceleration: Float[Array, "2 h w"],
     base: Float[Array, "2 h w"],
-    confidence: Float[Array, "h w"],
+    information: Float[Array, "3 h w"],
     by_chance: Float[Array, "*hw"],
-    lever: Float[Array, ""],
 ) -> Float[Array, "2 h w"]:
-    """An acceleration drawn towards `base` as far as chance explains what it differs by (James and Stein, 1961)."""
-    differs = lever**2 * ((acceleration - base) ** 2).sum(0)
-    evidence = differs * confidence / jnp.maximum(1 - confidence, 1e-6)
-    return base + jnp.maximum(0, 1 - by_chance / jnp.maximum(evidence, 1e-12))[None] * (acceleration - base)
+    """An acceleration drawn towards `base`, by the share that chance has in what it differs by."""
+    (down, right), (a, b, d) = acceleration - base, information
+    evidence = a * down**2 + 2 * b * down * right + d * right**2
+    share = jnp.minimum(1, by_chance / jnp.maximum(evidence, 1e-12))
+    return base + (1 - share)[None] * (acceleration - base)
+
+
+@jax.jit
+def _confidence(information: Float[Array, "3 h w"], longest: Float[Array, ""]) -> Float[Array, "h w"]:
+    """How well the velocity is known, 0 to 1, by the variance of its poorer component over the recording, pixels."""
+    a, b, d = information
+    poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
+    return 1 / (1 + longest**2 / jnp.maximum(poorest, 1e-12))
 
 
 @jax.jit
@@ -103,18 +113,26 @@ def _refine(
     bound: Float[Array, ""],
     window: Float[Array, ""],
     steps: Int[Array, ""],
-) -> tuple[Float[Array, "2 2 h w"], Float[Array, "h w"]]:
-    """`field`, velocity and acceleration, after some steps for one of them, and how well that one is known, 0 to 1."""
+) -> tuple[Float[Array, "2 2 h w"], Float[Array, "3 h w"]]:
+    """`field`, velocity and acceleration, after some steps for one of them, and the information about that one: a, b
+    and d of the matrix [[a, b], [b, d]], per pixel of the window and unit of residual variance.
+
+    With the acceleration goes the velocity that fits best beside it; where the key frame is not in the middle of the
+    recording, one looks much like the other.
+    """
     longest = jnp.max(jnp.abs(after) * part)
+    accelerating = which == _ACCELERATION
     # Pixels that a unit of it is worth at the farthest moment.
-    lever = jnp.where(which == _VELOCITY, longest, longest**2 / 2)
+    lever = jnp.where(accelerating, longest**2 / 2, longest)
 
     def step(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         field, _ = carry
         now = drift(pictures, after, part, (field[0], field[1]))
-        spread, change = now.spread[which, which], now.change[which]
+        # τ²/2 − beside · τ is what acceleration has for itself.
+        beside = jnp.where(accelerating, now.spread[0, 1] / jnp.maximum(now.spread[0, 0], 1e-6), 0)
+        spread = now.spread[which, which] - beside * now.spread[0, 1]
+        change = now.change[which] - beside * now.change[0]
         noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
-        # Per unit of residual variance: the information in the window.
         information = smooth(spread[None, None] * now.slope[:, None] * now.slope[None], window) / noise[None, None]
         pull = -smooth(change[None] * now.slope, window) / noise[None]
         # As if it were known beforehand to within 2 px over the recording: decides only where nothing else does.
@@ -125,9 +143,7 @@ def _refine(
         update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / determinant[None]
         length = jnp.sqrt((update**2).sum(0))
         update = update * jnp.minimum(1, bound / lever / jnp.maximum(length, 1e-12))[None]
-        # Variance of the poorer component over the recording, in sensor pixels.
-        poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
-        confidence = 1 / (1 + lever**2 / jnp.maximum(poorest, 1e-12))
-        return field.at[which].add(update), confidence
+        field = field.at[which].add(update).at[_VELOCITY].add(-beside[None] * update)
+        return field, jnp.stack([a, b, d])
 
-    return jax.lax.fori_loop(0, steps, step, (field, jnp.ones_like(field[0, 0])))
+    return jax.lax.fori_loop(0, steps, step, (field, jnp.ones_like(field, shape=(3, *field.shape[2:]))))

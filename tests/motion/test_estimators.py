@@ -242,23 +242,31 @@ def test_a_fixed_pattern_that_is_known_does_not_hold_the_motion_back():
     assert 4 * known < unknown
 
 
-def test_dense_follows_what_turns():
+@pytest.mark.parametrize("key", [50, 10])
+def test_dense_follows_what_turns(key):
     """A point of a turning scene at r accelerates by −ω² r: here by up to 2 px over half of the recording."""
     turn = 0.006
-    scene = Affine(data.camera()[100:340, 120:360] / 255, rotation=turn, key=50)
-    motion = Dense()(stretches(simulate(scene, scale=2, seed=1).spikes, key=50))
+    scene = Affine(data.camera()[100:340, 120:360] / 255, rotation=turn, key=key)
+    motion = Dense()(stretches(simulate(scene, scale=2, seed=1).spikes, key=key))
     arm = np.indices(motion.speed.shape) - (np.array(motion.speed.shape)[:, None, None] - 1) / 2
     truth = np.stack([-(turn**2) * arm[0], -(turn**2) * arm[1]])
-    inner = np.hypot(*arm) < 50  # in view all the time
+    inner = np.hypot(*arm) < 40  # in view all the time
     straight, followed = (
         np.median(np.hypot(*(a - truth))[inner]) * 50**2 / 2 for a in (0 * truth, motion.acceleration)
     )
     assert straight > 1.0
-    assert followed < 0.3 * straight
+    assert followed < 0.4 * straight  # measured: 0.13 and, with the key frame near an end, 0.22
 
 
-# Pixels over half of the recording, mean, twice what is left: all that fits would be 0.20 and 0.74.
-@pytest.mark.parametrize("sensor, bound", [(Sensor(), 0.1), (Sensor(white_rate=0.1, photons=25.0), 0.37)])
+def test_dense_of_a_long_recording_is_finite():
+    """Its pictures are further apart than the nearest times that the search begins with."""
+    noise = np.random.default_rng(0).random((301, 40, 40)) < 0.3
+    motion = Dense()(stretches(noise, key=150))
+    assert np.isfinite(motion.velocity).all() and np.isfinite(motion.acceleration).all()
+
+
+# Pixels over half of the recording, mean: measured are 0.014 and 0.135; all that fits would be 0.17 and 0.79.
+@pytest.mark.parametrize("sensor, bound", [(Sensor(), 0.05), (Sensor(white_rate=0.1, photons=25.0), 0.3)])
 def test_dense_makes_little_acceleration_of_noise(sensor, bound):
     scene = Translation(data.camera()[100:340, 120:360] / 255, (0.14, -0.24), key=50)
     spikes = simulate(scene, scale=2, sensor=sensor, seed=1).spikes

@@ -1,5 +1,7 @@
 """A velocity and an acceleration for each pixel, from all moments of the recording at once."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,13 +15,13 @@ _VELOCITY, _ACCELERATION = 0, 1
 _WIDE = 6.0  # sensor pixels, a window
 # What is looked for, and how: frames from the key frame, presmoothing and window (sensor pixels), steps. Near times and
 # wide windows first. An acceleration is known less well than a velocity, so it is taken from wider windows.
-_SCHEDULE = (
+_FOR_VELOCITY = (
     (_VELOCITY, (8, 2.0, 6.0, 8)),
     (_VELOCITY, (16, 1.5, 4.0, 6)),
     (_VELOCITY, (32, 1.0, 3.0, 6)),
     (_VELOCITY, (np.inf, 0.8, 2.5, 6)),
-    *((_ACCELERATION, (np.inf, 0.8, _WIDE, 1)), (_VELOCITY, (np.inf, 0.8, 4.0, 1))) * 3,
 )
+_IN_TURNS = ((_ACCELERATION, (np.inf, 0.8, _WIDE, 1)), (_VELOCITY, (np.inf, 0.8, 4.0, 1))) * 3
 
 # What |a|² times its information in a window comes to by chance, on average, where nothing accelerates (pans by day).
 # Noise that neighbouring pictures share adds up instead of averaging out: in dim light it is ten times that.
@@ -29,21 +31,31 @@ _VOTERS = 5
 
 
 def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
-    """Least squares in a Gaussian window around each pixel (Lucas and Kanade, 1981), over all moments at once: first
-    for the velocity, from near times to far ones, then for acceleration and velocity in turns.
+    """Least squares in a Gaussian window around each pixel (Lucas and Kanade, 1981), over all moments at once, for the
+    velocity, from near times to far ones; the acceleration is that of `start` (`accelerated` finds one).
 
-    Where a window has no texture they stay near those of `start` (nothing moves, if not given).
+    Where a window has no texture the velocity stays near that of `start` (nothing moves, if not given).
     """
+    start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
+    return _searched(pictures, start, start, _FOR_VELOCITY)
+
+
+def accelerated(pictures: Stretches, motion: Motion, *, start: Motion | None = None) -> Motion:
+    """A dense motion with an acceleration for each pixel, as far as chance does not explain it: acceleration and
+    velocity by least squares in turns. Where a window has no texture they stay near those of `start`."""
+    start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
+    return _searched(pictures, motion, start, _IN_TURNS)
+
+
+def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tuple[Any, ...]) -> Motion:
     height, width = pictures.picture.shape[1:]
-    if start is None:
-        start = Motion.none(height, width)
     distance = np.sort(np.abs(np.asarray(pictures.after)))
     # What has left the picture halfway through the recording cannot have been followed.
     limits = 0.5 * max(height, width) / (distance[-1] + 1), max(height, width) / (distance[-1] + 1) ** 2
-    field = base = jnp.stack([jnp.asarray(start.velocity), jnp.asarray(start.acceleration)])
+    field, base = (jnp.stack([jnp.asarray(m.velocity), jnp.asarray(m.acceleration)]) for m in (motion, start))
     confidence = jnp.ones((height, width), jnp.float32)
     by_chance = _by_chance(pictures)
-    for which, (reach, sigma, window, steps) in _SCHEDULE:
+    for which, (reach, sigma, window, steps) in schedule:
         # Three moments at least, however far apart they are.
         part = (jnp.abs(pictures.after) <= max(reach, distance[min(2, distance.size - 1)])).astype(jnp.float32)
         field, information = _refine(

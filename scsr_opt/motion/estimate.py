@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
-from scsr_opt.motion.dense import dense
+from scsr_opt.motion.dense import accelerated, dense
 from scsr_opt.motion.estimator import Estimator
 from scsr_opt.motion.evidence import Missed, at_rest, contradicted, heard, missed, typical_noise
 from scsr_opt.motion.layers import layered
@@ -72,7 +72,7 @@ class Dense(Estimator):
     """A velocity and an acceleration for each pixel (`dense`); no edges, no occlusion."""
 
     def __call__(self, pictures: Stretches) -> Motion:
-        return dense(pictures)
+        return accelerated(pictures, dense(pictures))
 
 
 class Automatic(Estimator):
@@ -161,6 +161,8 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     helps = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()
     enough = 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
     better = helps and miss.mean < enough * predicts(before).mean
+    if better and motion is everywhere:
+        motion = accelerated(part, motion, start=before)
     return motion.within(background, *used) if better else background
 
 

@@ -150,7 +150,7 @@ def mgsr(
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`: as `tfp_bicubic`. 101 frames around the key frame are used; bad pixels are
       left out.
-    - `velocity`: known motion or an `Estimator`, as that of `reconstruct`; `Dense` if not given.
+    - `velocity`: known motion or an `Estimator`, as that of `reconstruct`; `Dense` without acceleration if not given.
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
@@ -158,7 +158,7 @@ def mgsr(
     """
     part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
     frames = len(part.spikes)
-    motion = _motion(part, Dense() if velocity is None else velocity)
+    motion = _motion(part, Dense(acceleration=False) if velocity is None else velocity)
     motion = Motion.of_velocity(motion.velocity)  # the assumptions: it keeps its velocity and hides nothing
     samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels)
     strength = _SMOOTHING * (_interval_noise(samples) / frames) ** 0.5 * 2 / part.scale

@@ -42,8 +42,7 @@ class Solving:
             help="auto: the simplest that fits (none, global, or layers with occlusion); none: nothing moves; phase: "
             "one translation; global: one motion for all, affine or perspective as the recording asks; "
             "dense: velocity and acceleration for each pixel; ilk, tvl1: a velocity for each; DOWN,RIGHT: this "
-            "velocity, sensor pixels per frame; "
-            "FILE.npy: (2, height, width) of them.",
+            "velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
         ),
     ] = "auto"
     refine: Annotated[

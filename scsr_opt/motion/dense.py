@@ -1,7 +1,5 @@
 """A velocity and an acceleration for each pixel, from all moments of the recording at once."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,13 +10,14 @@ from scsr_opt.motion.alignment import Stretches, drift, smooth
 from scsr_opt.motion.trajectory import Motion
 
 _VELOCITY, _ACCELERATION = 0, 1
+_Part = tuple[int, tuple[float, float, float, int]]
 _WIDE = 6.0  # sensor pixels, a window
 # What is looked for, and how: frames from the key frame, presmoothing and window (sensor pixels), steps. Near times and
 # wide windows first. An acceleration is known less well than a velocity, so it is taken from wider windows.
 _FOR_VELOCITY = (
-    (_VELOCITY, (8, 2.0, 6.0, 8)),
-    (_VELOCITY, (16, 1.5, 4.0, 6)),
-    (_VELOCITY, (32, 1.0, 3.0, 6)),
+    (_VELOCITY, (8.0, 2.0, 6.0, 8)),
+    (_VELOCITY, (16.0, 1.5, 4.0, 6)),
+    (_VELOCITY, (32.0, 1.0, 3.0, 6)),
     (_VELOCITY, (np.inf, 0.8, 2.5, 6)),
 )
 _IN_TURNS = ((_ACCELERATION, (np.inf, 0.8, _WIDE, 1)), (_VELOCITY, (np.inf, 0.8, 4.0, 1))) * 3
@@ -41,13 +40,15 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
 
 
 def accelerated(pictures: Stretches, motion: Motion, *, start: Motion | None = None) -> Motion:
-    """A dense motion with an acceleration for each pixel, as far as chance does not explain it: acceleration and
-    velocity by least squares in turns. Where a window has no texture they stay near those of `start`."""
+    """A dense motion with an acceleration for each pixel, sensor pixels per frame², as far as chance does not explain
+    it: acceleration and velocity by least squares in turns. Where a window has no texture they stay near those of
+    `start` (nothing moves, if not given)."""
     start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
     return _searched(pictures, motion, start, _IN_TURNS)
 
 
-def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tuple[Any, ...]) -> Motion:
+def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tuple[_Part, ...]) -> Motion:
+    """`motion` after all parts of a schedule, near `start` where a window has no texture."""
     height, width = pictures.picture.shape[1:]
     distance = np.sort(np.abs(np.asarray(pictures.after)))
     # What has left the picture halfway through the recording cannot have been followed.

@@ -69,10 +69,16 @@ class Global(Estimator):
 
 
 class Dense(Estimator):
-    """A velocity and an acceleration for each pixel (`dense`); no edges, no occlusion."""
+    """A velocity (`dense`) and an acceleration (`accelerated`) for each pixel; no edges, no occlusion.
+
+    **Fields:** `acceleration`: False leaves it out; each pixel keeps its velocity.
+    """
+
+    acceleration: bool = True
 
     def __call__(self, pictures: Stretches) -> Motion:
-        return accelerated(pictures, dense(pictures))
+        straight = dense(pictures)
+        return accelerated(pictures, straight) if self.acceleration else straight
 
 
 class Automatic(Estimator):

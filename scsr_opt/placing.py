@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
 from scsr_opt.camera.measuring import Intervals, Measuring
@@ -35,6 +36,8 @@ _POSITIONS, _SPACING = (5, 3, 1), 0.375
 # What they show is then blurred by up to a sensor pixel of motion; at this share it is no object: a hundred pixels of a
 # million.
 _FEW_LONG = 1e-4
+# Standard deviation, sensor pixels, over which the light of pixels is averaged to tell their noise.
+_NEIGHBOURS = 1.5
 
 
 class Stream(NamedTuple):
@@ -192,6 +195,9 @@ def measured(
     if isinstance(measuring, Intervals) and measuring.ends > 0:
         samples = cut_to_seen(samples, path, frames=frames, white_rate=stream.white_rate, ends=measuring.ends)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
+    if isinstance(measuring, Intervals) and measuring.noise is not None:
+        weight = measuring.noise.weights(samples, _mean_light(stream))
+        samples = eqx.tree_at(lambda s: s.weight, samples, weight)
     order, positions = _longest_first(samples, fastest)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
@@ -204,6 +210,13 @@ def measured(
         finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
     )
     return Measurements(samples, light, padded, placed, still_for, path)
+
+
+def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
+    """Mean intensity over the recording and over neighbouring pixels."""
+    rate = stream.spikes.mean(0, dtype=np.float32) / np.float32(stream.white_rate)
+    good = np.ones_like(rate) if stream.bad_pixels is None else (~stream.bad_pixels).astype(np.float32)
+    return gaussian_filter(rate, _NEIGHBOURS) / np.maximum(gaussian_filter(good, _NEIGHBOURS), 1e-3)
 
 
 def _longest_first(

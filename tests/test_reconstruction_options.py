@@ -9,7 +9,7 @@ import pytest
 from skimage import data
 
 from scsr_opt import InputError, Result, reconstruct
-from scsr_opt.camera import Intervals, Sensor, Simulation, Windows, simulate
+from scsr_opt.camera import Intervals, Noise, Sensor, Simulation, Windows, simulate
 from scsr_opt.camera.gain import FIXED_PATTERN
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
@@ -74,6 +74,22 @@ def test_ends_are_samples_of_their_own(made):
     still = {"scale": 1, "velocity": (0.0, 0.0)}
     with_ends, without = (reconstruct(made.spikes, samples=Intervals(ends), **still).stats for ends in (0.1, 0))
     assert with_ends["samples"] - without["samples"] == 2 * (made.spikes.any(0)).sum() + (~made.spikes.any(0)).sum()
+
+
+def test_noise_weighs_samples(made):
+    """Only the weights change: where the noise of all light is the same, to those of duration."""
+    still = {"scale": 1, "velocity": (0.0, 0.0), "strength": 0.01}
+    alike, shot = Noise(photons=1e-9, dark_rate=1e9), Noise(photons=25.0)  # 10⁹ of dark charge drown what differs
+    by_duration, by_alike, by_shot = (
+        reconstruct(made.spikes, samples=Intervals(noise=noise), **still).image for noise in (None, alike, shot)
+    )
+    np.testing.assert_allclose(by_alike, by_duration, atol=1e-4)
+    # Dark pixels have less shot noise, so that the prior moves them less and bright ones more.
+    bare = reconstruct(made.spikes, scale=1, velocity=(0.0, 0.0), strength=0).image
+    dark = bare < np.median(bare)
+    moved, moved_before = (np.abs(image - bare) for image in (by_shot, by_duration))
+    assert moved[dark].mean() < 0.9 * moved_before[dark].mean()
+    assert moved[~dark].mean() > moved_before[~dark].mean()
 
 
 # ---- robust losses ---------------------------------------------------------------------------------------------------
@@ -275,6 +291,7 @@ def test_a_value_of_another_kind_is_said():
         "reconstruct(spikes, scale=2, robust='huber')": "robust is 'huber'; it must be a Loss, such as Huber().",
         "reconstruct(spikes, scale=2, solver='fista')": "solver is 'fista'; it must be a Solver, such as FISTA().",
         "reconstruct(spikes, scale=2, prior=FISTA())": "it must be a Prior, such as HuberTotalVariation().",
+        "Intervals(noise=25)": "noise is 25; it must be a Noise, such as Noise(photons=100.0).",
         "reconstruct(spikes, scale=2, samples=9)": "samples is 9; it must be a Measuring, such as Intervals().",
         "reconstruct(spikes, scale=2, optics=0.5)": "optics is 0.5; it must be a Blur",
         "reconstruct(spikes, scale=2, velocity=Motion.none(5, 5))": "velocity has shape (2, 5, 5)",
@@ -298,6 +315,7 @@ def test_a_value_of_another_kind_is_said():
 from dataclasses import replace
 import numpy as np
 from scsr_opt import InputError, reconstruct
+from scsr_opt.camera import Intervals
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import Layers, Trust
 from scsr_opt.operators import Blur

@@ -6,8 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
+from scsr_opt.camera.noise import Noise
 from scsr_opt.camera.samples import ENDS, Samples, spike_intervals, windows
 from scsr_opt.errors import InputError
+from scsr_opt.inputs import check_type
 
 
 class Measuring(eqx.Module):
@@ -32,16 +34,21 @@ class Measuring(eqx.Module):
 class Intervals(Measuring):
     """The light between two spikes of a pixel, Y = cθ / n; merged while nothing moves (`spike_intervals`).
 
-    **Fields:** `ends`: weight of the time before a pixel's first and after its last spike, from 0 to 1.
+    **Fields:**
+    - `ends`: weight of the time before a pixel's first and after its last spike, from 0 to 1.
+    - `noise`: of the camera, by which samples are weighted (`Noise.weights`); by their duration if not given, which is
+      as good (docs/data-term.md) unless areas differ by more than light.
 
-    **Raises:** `InputError` for other weights.
+    **Raises:** `InputError` for other weights, or for a `noise` that is none.
     """
 
     ends: float | int = ENDS
+    noise: Noise | None = None
 
     def __check_init__(self):
         if not 0 <= self.ends <= 1:
             raise InputError(f"Intervals was given ends={self.ends!r}; it is a weight from 0 to 1.")
+        check_type(self.noise, Noise, "noise", "Noise(photons=100.0)")
 
     def __call__(
         self,

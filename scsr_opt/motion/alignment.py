@@ -155,7 +155,7 @@ def drift(
     moments, values = total[:5], total[5:]
     # Σ weight, of the regressors τ and τ²/2, and of their products.
     seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])
-    products = moments[2:] / jnp.array([1.0, 2.0, 4.0])[:, None, None]
+    products = moments[2:] / jnp.array([1, 2, 4], after.dtype)[:, None, None]
     count = jnp.maximum(seen, 1e-6)
     mean = values[0] / count
     square = jnp.stack([jnp.stack([products[0], products[1]]), jnp.stack([products[1], products[2]])])
@@ -181,8 +181,9 @@ def smooth(values: Float[Array, "... h w"], sigma: Float[Array, ""]) -> Float[Ar
 
     σ is data, not part of the compiled code: one compilation serves all windows.
     """
+    sigma = sigma.astype(values.dtype)
     reach = jnp.minimum(jnp.ceil(3 * sigma).astype(jnp.int32), _REACH)
-    offsets = jnp.arange(-_REACH, _REACH + 1)
+    offsets = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.int32)
     distance = offsets.astype(values.dtype) / sigma
     taps = jnp.where(jnp.abs(offsets) <= reach, jnp.exp(-0.5 * distance**2), 0)
     taps = taps / taps.sum()

@@ -20,7 +20,7 @@ _FOR_VELOCITY = (
     (_VELOCITY, (32.0, 1.0, 3.0, 6)),
     (_VELOCITY, (np.inf, 0.8, 2.5, 6)),
 )
-_IN_TURNS = ((_ACCELERATION, (np.inf, 0.8, _WIDE, 1)), (_VELOCITY, (np.inf, 0.8, 4.0, 1))) * 3
+_A_TURN = ((_ACCELERATION, (np.inf, 0.8, _WIDE, 1)), (_VELOCITY, (np.inf, 0.8, 4.0, 1)))
 
 # What |a|² times its information in a window comes to by chance, on average, where nothing accelerates (pans by day).
 # Noise that neighbouring pictures share adds up instead of averaging out: in dim light it is ten times that.
@@ -39,12 +39,12 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
     return _searched(pictures, start, start, _FOR_VELOCITY)
 
 
-def accelerated(pictures: Stretches, motion: Motion, *, start: Motion | None = None) -> Motion:
+def accelerated(pictures: Stretches, motion: Motion, *, start: Motion | None = None, turns: int = 3) -> Motion:
     """A dense motion with an acceleration for each pixel, sensor pixels per frame², as far as chance does not explain
-    it: acceleration and velocity by least squares in turns. Where a window has no texture they stay near those of
-    `start` (nothing moves, if not given)."""
+    it: acceleration and velocity by least squares in so many `turns`. Where a window has no texture they stay near
+    those of `start` (nothing moves, if not given)."""
     start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
-    return _searched(pictures, motion, start, _IN_TURNS)
+    return _searched(pictures, motion, start, _A_TURN * turns)
 
 
 def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tuple[_Part, ...]) -> Motion:

@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -263,6 +264,16 @@ def test_dense_of_a_long_recording_is_finite():
     noise = np.random.default_rng(0).random((301, 40, 40)) < 0.3
     motion = Dense()(stretches(noise, key=150))
     assert np.isfinite(motion.velocity).all() and np.isfinite(motion.acceleration).all()
+
+
+def test_dense_does_not_depend_on_jax_being_in_double_precision():
+    made = simulate(Translation(data.camera()[100:180, 120:200] / 255, (0.14, -0.24), key=25), scale=2, frames=51)
+    single = Dense()(stretches(made.spikes, key=25))
+    with jax.enable_x64(True):
+        double = Dense()(stretches(made.spikes, key=25))
+    assert double.velocity.dtype == single.velocity.dtype == np.float32
+    np.testing.assert_allclose(double.velocity, single.velocity, atol=1e-5)
+    np.testing.assert_allclose(double.acceleration, single.acceleration, atol=1e-6)
 
 
 # Pixels over half of the recording, mean: measured are 0.014 and 0.135; all that fits would be 0.17 and 0.79.

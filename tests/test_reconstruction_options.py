@@ -291,6 +291,10 @@ def test_a_value_of_another_kind_is_said():
         "reconstruct(spikes, scale=2, robust='huber')": "robust is 'huber'; it must be a Loss, such as Huber().",
         "reconstruct(spikes, scale=2, solver='fista')": "solver is 'fista'; it must be a Solver, such as FISTA().",
         "reconstruct(spikes, scale=2, prior=FISTA())": "it must be a Prior, such as HuberTotalVariation().",
+        "Intervals(ends=None)": "Intervals was given ends=None; it is a weight from 0 to 1.",
+        "Windows(2.5)": "Windows was given a length of 2.5; it is a whole number of frames, 1 or more.",
+        "Noise(photons='x')": "photons is 'x', but it must be above 0, in photons per frame of white.",
+        "Huber('x')": "Huber was given the threshold 'x'; it is a number above 0, in standard deviations of the noise.",
         "Intervals(noise=25)": "noise is 25; it must be a Noise, such as Noise(photons=100.0).",
         "reconstruct(spikes, scale=2, samples=9)": "samples is 9; it must be a Measuring, such as Intervals().",
         "reconstruct(spikes, scale=2, optics=0.5)": "optics is 0.5; it must be a Blur",
@@ -315,10 +319,10 @@ def test_a_value_of_another_kind_is_said():
 from dataclasses import replace
 import numpy as np
 from scsr_opt import InputError, reconstruct
-from scsr_opt.camera import Intervals
+from scsr_opt.camera import Intervals, Noise, Windows
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import Layers, Trust
-from scsr_opt.operators import Blur
+from scsr_opt.operators import Blur, Huber
 from scsr_opt.priors import TotalVariation
 from scsr_opt.solvers import ADMM, FISTA, LBFGS, CondatVu, DualityGap
 spikes, small, fields = np.zeros((31, 8, 9), np.uint8), np.zeros((2, 5, 5)), np.zeros((2, 2, 8, 9))
@@ -339,7 +343,7 @@ for call, message in {said!r}.items():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Windows(0), "Windows was given a length of 0; it needs at least 1 frame."),
+        (lambda: Windows(0), "Windows was given a length of 0; it is a whole number of frames, 1 or more."),
         (lambda: Intervals(2), "Intervals was given ends=2; it is a weight from 0 to 1."),
     ],
 )

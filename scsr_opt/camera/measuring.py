@@ -1,6 +1,7 @@
 """How a recording becomes samples: the choice that `reconstruct` offers as `samples`."""
 
 import abc
+from numbers import Integral, Real
 
 import equinox as eqx
 import numpy as np
@@ -36,8 +37,8 @@ class Intervals(Measuring):
 
     **Fields:**
     - `ends`: weight of the time before a pixel's first and after its last spike, from 0 to 1.
-    - `noise`: of the camera, by which samples are weighted (`Noise.weights`); by their duration if not given, which is
-      as good (docs/data-term.md) unless areas differ by more than light.
+    - `noise`: of the camera, by which samples are weighted (`Noise.weights`): dark pixels count for more. By their
+      duration if not given, which was as good or better on all stills tried (docs/data-term.md).
 
     **Raises:** `InputError` for other weights, or for a `noise` that is none.
     """
@@ -46,7 +47,7 @@ class Intervals(Measuring):
     noise: Noise | None = None
 
     def __check_init__(self):
-        if not 0 <= self.ends <= 1:
+        if not (isinstance(self.ends, Real) and 0 <= self.ends <= 1):
             raise InputError(f"Intervals was given ends={self.ends!r}; it is a weight from 0 to 1.")
         check_type(self.noise, Noise, "noise", "Noise(photons=100.0)")
 
@@ -75,8 +76,9 @@ class Windows(Measuring):
     length: int
 
     def __check_init__(self):
-        if self.length < 1:
-            raise InputError(f"Windows was given a length of {self.length}; it needs at least 1 frame.")
+        if not (isinstance(self.length, Integral) and self.length >= 1):
+            found = f"Windows was given a length of {self.length!r}"
+            raise InputError(f"{found}; it is a whole number of frames, 1 or more.")
 
     def __call__(
         self,

@@ -15,6 +15,7 @@ The end of a recording (see `samples`) has (θ²/12)/n² in the place of the fir
 """
 
 import math
+from numbers import Real
 
 import equinox as eqx
 import numpy as np
@@ -43,10 +44,10 @@ class Noise(eqx.Module):
     dark_rate: float | int = 0.0
 
     def __check_init__(self):
-        if not self.photons > 0:
+        if not (isinstance(self.photons, Real) and self.photons > 0):
             raise InputError(f"photons is {self.photons!r}, but it must be above 0, in photons per frame of white.")
         for name in ("fixed_pattern", "dark_rate"):
-            if not 0 <= getattr(self, name) < math.inf:
+            if not (isinstance(getattr(self, name), Real) and 0 <= getattr(self, name) < math.inf):
                 raise InputError(f"{name} is {getattr(self, name)!r}, but it must be a finite number, 0 or more.")
 
     def variance(
@@ -76,7 +77,7 @@ class Noise(eqx.Module):
         **Arguments:** `samples`, weighted by duration; `level` I of each pixel, smoothed over its neighbours.
         """
         span = float(samples.stop.max() - samples.start.min()) if samples.stop.size else 1.0
-        # Light that cannot be told from none would get any weight: half of what one spike in the recording means.
+        # Light that cannot be told from none would get any weight.
         darkest = max(float(np.median(level)), 1e-3) / 20
         factor = 1 / np.maximum(self.variance(span, np.maximum(level, darkest)), 1e-12)
         weight = samples.weight * factor[samples.row, samples.column]

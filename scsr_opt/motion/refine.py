@@ -114,7 +114,7 @@ def _of_few_numbers(
         return motion
     height, width = motion.velocity.shape[1:]
     fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)
-    velocity, acceleration = np.einsum("op,pchw->ochw", np.asarray(found), fields)
+    velocity, acceleration = np.einsum("op,pchw->ochw", np.asarray(found, np.float32), fields)
     return Motion(velocity, acceleration, motion.confidence)
 
 
@@ -141,7 +141,12 @@ def _least_squares(
     scale: int,
 ) -> Float[Array, "2 8"]:
     height, width = (n // scale for n in picture.shape)
-    start, stop, value = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value))
+    # Optimistix makes its own numbers in JAX's default precision, which may be double.
+    dtype = jax.dtypes.canonicalize_dtype(float)
+    begin, numbers, units, picture, weight, key = (
+        v.astype(dtype) for v in (begin, numbers, units, picture, weight, key)
+    )
+    start, stop, value = (jnp.asarray(v, dtype) for v in (samples.start, samples.stop, samples.value))
     pixel = jnp.stack([samples.row, samples.column]).astype(value.dtype)
     middle = jnp.array([[(height - 1) / 2], [(width - 1) / 2]], value.dtype)
     # Beyond it the aperture would leave the picture, and U is 0.

@@ -15,6 +15,7 @@ that bound breaks the cancellation and costs several dB (docs/data-term.md).
 """
 
 import abc
+from numbers import Real
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ class Loss(eqx.Module):
     threshold: eqx.AbstractVar[float | int]
 
     def __check_init__(self):
-        if not self.threshold > 0:
+        if not (isinstance(self.threshold, Real) and self.threshold > 0):
             raise InputError(
                 f"{type(self).__name__} was given the threshold {self.threshold!r}; it is a number above 0, in "
                 f"standard deviations of the noise."

@@ -106,6 +106,12 @@ class Smooth(Solver[SmoothState]):
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> SmoothState:
         data = problem.data
+        if image.dtype != jax.dtypes.canonicalize_dtype(float):
+            # Optimistix makes its own numbers in JAX's default precision.
+            raise InputError(
+                f"{type(self).__name__} was given a problem in {image.dtype}, but jax_enable_x64 is on; switch it off, "
+                "or take FISTA, ADMM or CondatVu, which work in either."
+            )
         blurred = data.blurred(image)
         state = SmoothState(
             image=image,

@@ -61,6 +61,17 @@ def test_a_translation_is_found_from_a_pixel_off(given):
     assert found.velocity.dtype == np.float32
 
 
+def test_refinement_does_not_depend_on_jax_being_in_double_precision(given):
+    picture, samples, true = given("translate0.3")
+    wrong = Motion.of_velocity(true.velocity + np.array([0.01, -0.008], np.float32)[:, None, None])
+    single = refined(wrong, picture, samples)
+    places = placed(samples, wrong)
+    with jax.enable_x64(True):
+        double = refine(wrong, picture, samples, places, key=KEY)
+    assert double.velocity.dtype == np.float32
+    assert worst(double, single) < 0.01  # steps end where they are small, not at the same number
+
+
 def test_an_affine_motion_is_found_from_a_pixel_off(given):
     picture, samples, true = given("affine")
     fields = generators(np.mgrid[0:SIDE, 0:SIDE].astype(np.float32), SIDE, SIDE)

@@ -96,6 +96,12 @@ def test_kinks_are_refused(name, case):
         run(SOLVERS[name](), problem, case.start)
 
 
+@pytest.mark.parametrize("name", SOLVERS)
+def test_single_precision_under_jax_in_double_is_refused(name, problem, case):
+    with jax.enable_x64(True), pytest.raises(InputError, match="a problem in float32, but jax_enable_x64 is on"):
+        run(SOLVERS[name](), problem, case.start)
+
+
 def test_a_history_of_none_makes_no_sense():
     with pytest.raises(InputError, match="history of 0"):
         LBFGS(history=0)

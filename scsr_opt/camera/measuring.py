@@ -38,7 +38,7 @@ class Intervals(Measuring):
     **Fields:**
     - `ends`: weight of the time before a pixel's first and after its last spike, from 0 to 1.
     - `noise`: of the camera, by which samples are weighted (`Noise.weights`): dark pixels count for more. By their
-      duration if not given, which was as good or better on all stills tried (docs/data-term.md).
+      duration if not given, which was as good or better on nearly all stills tried (docs/data-term.md).
 
     **Raises:** `InputError` for other weights, or for a `noise` that is none.
     """

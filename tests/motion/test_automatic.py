@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage import color, data
 
-from scsr_opt.camera.scenes import Box, MovingObject
+from scsr_opt.camera.scenes import Box, MovingObject, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.motion import Automatic, Motion, estimate, trajectory_of
 from scsr_opt.motion.alignment import Stretches, stretches
@@ -112,3 +112,38 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
     assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
     alone = found_by(with_scattered=False)
     assert alone.layers is None and not alone.speed.any()
+
+
+def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):
+    """An object that does not accelerate would lose by the freedom to; without it, a turning disc falls apart."""
+    wall = data.gravel()[40 : 40 + SCALE * SHAPE[0], 40 : 40 + SCALE * SHAPE[1]] / 255
+    disc = TurningDisc(wall, color.rgb2gray(data.coffee())[100:200, 100:200], 0.0068, radius=110.0)
+    turning = stretches(simulate(disc, scale=SCALE, seed=2).spikes, key=KEY)
+    taken: list[int | None] = []
+    accelerated, layered, given = estimate.accelerated, estimate.layered, []
+
+    def watched(part, motion, *, start, turns=None):
+        taken.append(turns)
+        return accelerated(part, motion, start=start, **({} if turns is None else {"turns": turns}))
+
+    def told(part, before, everywhere, moving, total):
+        given.append(everywhere)
+        return layered(part, before, everywhere, moving, total)
+
+    monkeypatch.setattr(estimate, "accelerated", watched)
+    monkeypatch.setattr(estimate, "layered", told)
+    steady = Automatic()(small[1])
+    assert taken == [1] and not given[-1].acceleration.any()
+    assert steady.layers is not None and not np.median(steady.acceleration[:, steady.layers.label > 0])
+    taken.clear()
+    Automatic()(turning)
+    assert taken == [1, 2]
+    # −ω² r towards the middle: told apart from nothing in the outer half of the disc.
+    rows, columns = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]]
+    outwards = np.stack([rows - (SHAPE[0] - 1) / 2, columns - (SHAPE[1] - 1) / 2])
+    distance = np.hypot(*outwards)
+    outer = (distance > 25) & (distance < 50)
+    assert given[-1].acceleration.shape[1:] == SHAPE, "the part looked at is the whole sensor"
+    found = (given[-1].acceleration * outwards).sum(0)[outer] / distance[outer]
+    truth = -(0.0068**2) * distance[outer]
+    assert np.median(found / truth) > 0.5, np.median(found / truth)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from scsr_opt.camera.gain import blind_gain, share_of_unknown_gain, with_gain
+from scsr_opt.camera.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
@@ -139,22 +139,19 @@ class Measurements(NamedTuple):
         blurred: Float[Array, "H W"],
         *,
         of: Bool[np.ndarray, "h w"] | None = None,
+        at_rest: Float[np.ndarray, "h w"] | None = None,
     ) -> Float[np.ndarray, "h w"]:
         """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), `of` some pixels only
-        if given; 1 elsewhere."""
+        if given. Where the scene does not move by a pixel, those `at_rest`, or 1."""
         samples, placed = self.samples, self.placed
         if of is not None:
             chosen = np.flatnonzero(of.reshape(-1)[samples.row * of.shape[1] + samples.column])
             samples = jax.tree.map(lambda values: values[chosen], samples)
             placed = placed.only(jnp.asarray(np.pad(chosen, (0, samples.padded().row.size - chosen.size))))
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), placed.weight))
-        return blind_gain(
-            samples,
-            predicted,
-            moved=motion.speed * np.float32(len(stream.spikes)),
-            white_rate=stream.white_rate,
-            weight=weight,
-        )
+        moved = motion.speed * np.float32(len(stream.spikes))
+        gains = blind_gain(samples, predicted, moved=moved, white_rate=stream.white_rate, weight=weight)
+        return gains if at_rest is None else np.where(gain_is_known(moved), gains, at_rest)
 
 
 def measured(

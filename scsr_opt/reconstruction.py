@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
+from scsr_opt.camera.gain_at_rest import gain_at_rest
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
@@ -80,10 +81,11 @@ def reconstruct(
       `Automatic` if not given.
     - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
     - `samples`: what the Y_i are: `Intervals()` if not given, or `Windows(length)` of so many frames.
-    - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from a first picture and solve again, twice
-      (`blind_gain`: where the scene moves by a pixel). "auto", the default, does that where the gains found spread by
-      more than they do by chance (`FIXED_PATTERN`). Motion is then estimated anew, as it is over gains handed in: a
-      pattern rests, whatever moves.
+    - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from the recording: where the scene moves by a
+      pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
+      (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
+      chance (`FIXED_PATTERN`). Motion is then estimated anew, as it is over gains handed in: a pattern rests, whatever
+      moves.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
     - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
@@ -148,6 +150,12 @@ def reconstruct(
         motion = given(velocity, height, width)
     clock.lap("motion")
 
+    learned: dict[str, float] = {}
+    known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
+    resting = None
+    if blind and not known.all():
+        gains = resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+        learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     measuring = Intervals() if samples is None else samples
     taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip)
     used = int(jnp.count_nonzero(taken.placed.weight))
@@ -169,7 +177,6 @@ def reconstruct(
         keep_images=keep_images,
     )
     image, near = first_picture(stream, shape), None
-    learned: dict[str, float] = {}
     if lens is not optics:
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
@@ -196,7 +203,7 @@ def reconstruct(
     clock.lap("strength")
     found = rounds(taken.placed, image, state, near=near)
     stages = found.outcome.stages
-    measured_as, known = taken, gain_is_known(motion.speed * np.float32(len(stream.spikes)))
+    measured_as = taken
     turns = _TURNS if blind else 0
     if blind and gain == "auto" and found.outcome.result.good:
         few = np.zeros(known.size, bool)
@@ -208,14 +215,14 @@ def reconstruct(
     for turn in range(turns):
         if not found.outcome.result.good:
             break
-        gains = measured_as.gain(stream, motion, found.blurred)
+        gains = measured_as.gain(stream, motion, found.blurred, at_rest=resting)
         learned["gain_spread"] = spread_of(gains, known)
         if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
             motion = estimated(velocity, gains)
             measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
             plan = _plan(stream, motion, measured_as, noise, measuring) if skip else None
             known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
-            gains = measured_as.gain(stream, motion, found.blurred)
+            gains = measured_as.gain(stream, motion, found.blurred, at_rest=resting)
         taken = measured_as.with_gain(gains, known, noise)
         if validate and turn == 0:  # a fixed pattern asked for more
             rounds = replace(rounds, strength=jnp.asarray(validated(taken).strength, jnp.float32))

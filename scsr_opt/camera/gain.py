@@ -8,7 +8,7 @@ A sample of pixel p measures Y = g(p)·I. Where g is known, Y / g is what counts
   A gain that varies slowly along the motion (over further than the scene moved) cannot be told from the picture.
 
 Where nothing moves, each pixel sees one point only and gain and picture are one: nothing but an assumption on pictures
-(the prior) tells them apart, and `blind_gain` leaves such pixels as they are.
+tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.camera.gain_at_rest` makes the assumption.
 """
 
 import equinox as eqx
@@ -59,15 +59,18 @@ def share_of_unknown_gain(
     """How much of its weight a pixel keeps whose gain is not known, where others' gains spread; 1 where it is known.
 
     An unknown gain makes an error that all samples of the pixel share: it adds (spread · intensity)² to the variance of
-    their mean, and the weight is the inverse of that variance.
+    their mean, and the weight is the inverse of that variance. Gains spread there as they do where they are known; what
+    was taken for gain at rest (`scsr_opt.camera.gain_at_rest`) is a mean of what they may be, and their variance about
+    it is less by its own.
 
-    **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `gain` where it is `known`; `noise`, the
-    standard deviation of a pixel's mean without that, intensity.
+    **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `gain` where it is `known`, and what was
+    taken for it elsewhere; `noise`, the standard deviation of a pixel's mean without that, intensity.
     """
     pixel, shape = samples.row * gain.shape[1] + samples.column, gain.shape
     light = np.bincount(pixel, samples.weight * samples.value, minlength=gain.size).reshape(shape)
     weight = np.bincount(pixel, samples.weight, minlength=gain.size).reshape(shape)
-    error = spread_of(gain, known) * light / np.where(weight > 0, weight, 1)
+    left = max(spread_of(gain, known) ** 2 - spread_of(gain, ~known) ** 2, 0.0) ** 0.5
+    error = left * light / np.where(weight > 0, weight, 1)
     return np.where(known, 1, 1 / (1 + (error / noise) ** 2)).astype(np.float32)
 
 

@@ -114,6 +114,9 @@ def _learned(stats: dict[str, Any]) -> list[str]:
         lines.append(f"Lens: blurs by a standard deviation of {stats['optics_sigma']:.2g} sensor pixels.")
     if "gain_spread" in stats:
         lines.append(f"Fixed pattern: gains spread by {100 * stats['gain_spread']:.2g} %.")
+    if stats.get("gain_spread_at_rest"):
+        told = 100 * stats["gain_spread_at_rest"]
+        lines.append(f"Fixed pattern: where nothing moves, {told:.2g} % of the light is taken for it.")
     return lines
 
 

@@ -58,7 +58,7 @@ class Solving:
         str,
         Parameter(
             help="Fixed pattern: FILE.npy with (height, width) gains, around 1; blind: from the recording itself, "
-            "where it moves; auto: that, if a pattern is found; none."
+            "where it moves and, as far as pictures tell, where it rests; auto: that, if a pattern is found; none."
         ),
     ] = "auto"
     optics: Annotated[

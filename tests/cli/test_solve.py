@@ -124,13 +124,14 @@ def test_a_picture_that_is_not_finite_is_an_error(scsr, here, monkeypatch, file)
 
 def test_solve_tells_what_it_learned_of_the_camera(scsr, monkeypatch, file):
     def learn(spikes, *, scale, **_):
-        stats = {"iterations": 0, "optics_sigma": 0.527, "gain_spread": 0.0431}
+        stats = {"iterations": 0, "optics_sigma": 0.527, "gain_spread": 0.0431, "gain_spread_at_rest": 0.0267}
         return Solution(np.zeros((96, 160), np.float32), (), Result.converged, stats)
 
     monkeypatch.setattr(scsr_opt, "reconstruct", learn, raising=False)
     said = scsr("solve", file, "-o", "a.png")
     assert "Lens: blurs by a standard deviation of 0.53 sensor pixels.\n" in said
     assert "Fixed pattern: gains spread by 4.3 %.\n" in said
+    assert "Fixed pattern: where nothing moves, 2.7 % of the light is taken for it.\n" in said
 
 
 def test_what_reconstruct_refuses_is_one_line(scsr, monkeypatch, file):

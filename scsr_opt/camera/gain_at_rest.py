@@ -1,0 +1,157 @@
+"""Gains of pixels that saw one point of the scene only: what a network that knows pictures takes for fixed pattern.
+
+Where nothing moves, gain and picture are one (`scsr_opt.camera.gain`), and only an assumption on pictures tells them
+apart: edges and textures go on from pixel to pixel, gains do not. A prior makes it in the solve, on the high-resolution
+picture; here a small network makes it at sensor resolution, where the gains are, and says how much of each pixel's
+light it takes for gain. It was trained (`learned.gain_training`) to miss ln g by little in the mean of squares, over
+recordings with and without a fixed pattern: where a texture could be a pattern it says little.
+"""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
+from scipy.ndimage import gaussian_filter
+
+from scsr_opt.camera.samples import spike_intervals
+
+WEIGHTS = Path(__file__).parent / "weights" / "gain_at_rest.npz"
+"""The trained network, with a card beside it that says what it was trained on."""
+# Intensity at which the logarithm of a rate becomes linear: what is darker hardly fires, and shows no gain.
+_DARK = 0.02
+# So that what the network sees of pictures is about 0 in the mean, and of noise about 1 at most.
+_MIDDLE, _NOISE, _MOST = 1.2, 10.0, 3.0
+# Sensor pixels over which noise is taken as even.
+_EVEN = 2.0
+_LEAK = 0.1  # slope of activations below 0
+# ln g further from 0 are not believed: 1.65 and 0.61 are bad pixels rather than gains.
+_FARTHEST = 0.5
+# A recording has a fixed pattern if gains spread by so much in all but the plainest tenth of its squares of so many
+# sensor pixels a side. Of 24 pictures that were not trained on, at ×2 and ×4, 46 of 48 recordings without a pattern
+# stayed below (0.0001 to 0.0059), and all with one of 5 % came above (0.0062 to 0.042).
+_PATTERN, _PLAINEST, _SQUARE = 0.006, 0.1, 8
+# Squares darker than this are passed over, as what hardly fires shows no gain, and those of more relative noise, in
+# which a gain would be noise. So large a share of all has to be left.
+_LIT, _NOISY, _ENOUGH = 0.05, 0.04, 0.1
+
+
+class GainNetwork(eqx.Module):
+    """ln g of each pixel from the rates of a still scene: convolutions of 3×3, each added to what was before it, as in
+    networks that take noise from pictures (Zhang, Zuo, Chen, Meng, Zhang, 2017, "Beyond a Gaussian denoiser: residual
+    learning of deep CNN for image denoising"), but in the logarithm of light, in which gains are added to the picture.
+
+    **Arguments:**
+    - `channels`, `layers`: features, and convolutions, 2 at least.
+    - `key`: of the random first weights.
+    """
+
+    layers: tuple[eqx.nn.Conv2d, ...]
+
+    def __init__(self, channels: int, layers: int, *, key: PRNGKeyArray):
+        sizes = [2, *[channels] * (layers - 1), 1]
+        self.layers = tuple(
+            eqx.nn.Conv2d(before, after, 3, padding=1, key=k)
+            for before, after, k in zip(sizes, sizes[1:], jax.random.split(key, layers), strict=False)
+        )
+
+    def __call__(self, rate: Float[Array, "h w"], noise: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """ln g from a still picture and the relative standard deviation of its pixels over time (`rates_at_rest`)."""
+        seen = jnp.stack([jnp.log(rate + _DARK) + _MIDDLE, jnp.minimum(_NOISE * noise, _MOST)])
+        first, *inner, last = self.layers
+        x = _leaky(first(seen))
+        for layer in inner:
+            x = x + _leaky(layer(x))
+        return last(x)[0]
+
+    def save(self, path: Path) -> None:
+        """As an .npz file."""
+        arrays: dict[str, Any] = {}
+        for n, layer in enumerate(self.layers):
+            arrays[f"weight{n}"], arrays[f"bias{n}"] = np.asarray(layer.weight), np.asarray(layer.bias)
+        np.savez_compressed(path, **arrays)
+
+    @staticmethod
+    @functools.cache
+    def load(path: Path = WEIGHTS) -> "GainNetwork":
+        """The shipped network, or that of another file."""
+        with np.load(path) as arrays:
+            count = len(arrays.files) // 2
+            weights = [jnp.asarray(arrays[f"{name}{n}"]) for name in ("weight", "bias") for n in range(count)]
+        network = GainNetwork(weights[0].shape[0], count, key=jax.random.key(0))
+        return eqx.tree_at(
+            lambda n: [getattr(layer, name) for name in ("weight", "bias") for layer in n.layers], network, weights
+        )
+
+
+def _leaky(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    return jnp.where(x >= 0, x, _LEAK * x)
+
+
+def rates_at_rest(
+    spikes: Shaped[np.ndarray, "T h w"], *, white_rate: float | int
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Intensity of each pixel of a still scene, from all its intervals, and the relative standard deviation of that,
+    as the two halves of the recording and the pixels around tell it."""
+
+    def rate(spikes: Shaped[np.ndarray, "t h w"]) -> Float[np.ndarray, "h w"]:
+        frames, height, width = spikes.shape
+        samples = spike_intervals(spikes, white_rate=white_rate, shortest=frames)
+        pixel, size = samples.row * width + samples.column, height * width
+        light, weight = (np.bincount(pixel, of, size) for of in (samples.weight * samples.value, samples.weight))
+        return (light / np.where(weight > 0, weight, 1)).reshape(height, width).astype(np.float32)
+
+    half = len(spikes) // 2
+    whole, differs = rate(spikes), rate(spikes[:half]) - rate(spikes[half:])
+    return whole, np.sqrt(gaussian_filter(differs**2, _EVEN)) / 2 / (whole + np.float32(_DARK))
+
+
+def gain_at_rest(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    white_rate: float | int,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    network: GainNetwork | None = None,
+) -> Float[np.ndarray, "h w"]:
+    """Gains of a camera before a still scene, as far as they can be told from the picture.
+
+    Of gains that spread by 5 % three quarters of the variance are left in the mean of pictures, and much less where
+    they are plain. All gains are 1 unless they seem to spread by 0.6 % or more in nine tenths of the squares of 8×8
+    pixels that show any.
+
+    **Arguments:**
+    - `spikes`: (T, h, w); what moves by less than a pixel is still enough.
+    - `white_rate`: spikes per frame of a pixel at intensity 1.
+    - `bad_pixels`: (h, w), true for pixels to be left out; they get gain 1.
+    - `network`: the shipped one, if not given.
+
+    **Returns:** (h, w), around 1.
+    """
+    if len(spikes) < 2:
+        return np.ones(spikes.shape[1:], np.float32)
+    rate, noise = rates_at_rest(spikes, white_rate=white_rate)
+    good = np.ones(rate.shape, bool) if bad_pixels is None else ~bad_pixels
+    if not good.all():
+        near = gaussian_filter(good.astype(np.float32), 1.0) + np.float32(1e-6)
+        rate, noise = (np.where(good, of, gaussian_filter(of * good, 1.0) / near) for of in (rate, noise))
+    network = GainNetwork.load() if network is None else network
+    found = np.asarray(_found(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
+    found = np.where(good, np.clip(found, -_FARTHEST, _FARTHEST), 0)
+    squares, light, noise = (_in_squares(of) for of in (found, rate, noise))
+    spread = squares.std(1)[(light.mean(1) > _LIT) & (noise.mean(1) < _NOISY)]
+    if spread.size == 0 or spread.size < _ENOUGH * len(squares) or np.quantile(spread, _PLAINEST) < _PATTERN:
+        return np.ones_like(rate)
+    return np.exp(found).astype(np.float32)
+
+
+def _in_squares(of: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
+    height, width = (length // _SQUARE * _SQUARE for length in of.shape)
+    parts = of[:height, :width].reshape(height // _SQUARE, _SQUARE, width // _SQUARE, _SQUARE)
+    return parts.transpose(0, 2, 1, 3).reshape(-1, _SQUARE**2)
+
+
+_found = eqx.filter_jit(GainNetwork.__call__)

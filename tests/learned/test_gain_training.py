@@ -1,0 +1,34 @@
+"""Training of the network that tells gains at rest."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from learned import gain_training
+from learned.gain_training import patch, train
+from scsr_opt.camera.gain_at_rest import GainNetwork
+
+
+def test_patches_are_what_the_sensor_made_of_pictures():
+    picture = np.random.default_rng(0).uniform(0.2, 0.9, (130, 150)).astype(np.float32)
+    generator = np.random.default_rng(1)
+    for spread in (0.0, 0.05, 0.05, 0.05):
+        rate, noise, gain = patch([picture], generator, spread)
+        assert rate.shape == noise.shape == gain.shape == (1, 56, 56)
+        assert abs(gain.std() - spread) < 0.003 and (rate >= 0).all() and (noise >= 0).all()
+
+
+def test_training_lowers_the_error_and_writes_a_network_with_its_card(tmp_path, monkeypatch):
+    monkeypatch.setattr(gain_training, "_HELD_OUT", 4)
+    monkeypatch.setattr(gain_training, "_REPORT", 10)
+    told: list[str] = []
+    trained = train(tmp_path / "gain.npz", folder=None, minutes=0.25, channels=8, layers=3, report=told.append)
+    card = json.loads((tmp_path / "gain.json").read_text())
+    assert card["steps"] >= 20 and set(card["missed"]) == {"0.0", "0.05"}
+    first, last = (float(line.split("loss ")[1].split(";")[0]) for line in (told[0], told[-1]))
+    assert last < 0.5 * first
+    again = GainNetwork.load(tmp_path / "gain.npz")
+    for one, other in zip(jax.tree.leaves(trained), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(jnp.asarray(one), jnp.asarray(other))

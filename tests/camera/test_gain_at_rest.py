@@ -23,10 +23,10 @@ def test_rates_and_their_noise_are_those_of_the_sensor():
         rates, noise = (np.stack(of) for of in zip(*(rates_at_rest(s, white_rate=0.6) for s in several), strict=True))
         assert rates.mean() == pytest.approx(0.4, rel=5e-3)
         truly = rates.std(0).mean() / 0.42  # over the intensity and the 0.02 at which its logarithm becomes linear
-        # Photons make halves whose errors are independent. Of read-out alone each half has two ends' errors of its own
-        # and the whole has two for both, which makes the noise seem √2 times as large.
-        expected = truly * (1 if np.isfinite(sensor.photons) else np.sqrt(2))
-        assert np.median(noise) == pytest.approx(expected, rel=0.15)
+        # Photons make halves whose errors are independent. Of read-out alone each half has two ends' errors of its own,
+        # where the whole has two for both: √2 times as large, and somewhat more as ends count less.
+        least, most = (0.9, 1.1) if np.isfinite(sensor.photons) else (1.3, 1.8)
+        assert least < np.median(noise) / truly < most
 
 
 def test_a_pattern_before_a_still_scene_is_taken_for_gain():

@@ -48,7 +48,7 @@ Patches = tuple[Float[np.ndarray, "_ P P"], Float[np.ndarray, "_ P P"], Float[np
 
 
 def patch(found: list[np.ndarray], generator: np.random.Generator, spread: float | None = None) -> Patches:
-    """One patch; gains of this spread, or of a random one."""
+    """One patch of one of the pictures `found` (grey, intensity); gains of this spread, or of a random one."""
     scale = int(generator.choice(_SCALES))
     side = scale * _PATCH
     fitting = [picture for picture in found if min(picture.shape) >= side] or found
@@ -123,13 +123,12 @@ def train(
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
     state = optimiser.init(eqx.filter(network, eqx.is_array))
     step = make_step(optimiser)
-    own = found[-max(1, len(found) // 16) :]
-    found = found[: -len(own)] or own
-    tests = {s: _joined([patch(own, generator, s) for _ in range(_HELD_OUT)]) for s in (0.0, 0.05)}
+    held_out = found[-max(1, len(found) // 16) :]
+    found = found[: -len(held_out)] or held_out
+    tests = {s: _joined([patch(held_out, generator, s) for _ in range(_HELD_OUT)]) for s in (0.0, 0.05)}
     kept = _joined([patch(found, generator) for _ in range(_BATCH)])
     losses: list[float] = []
     number = 0
-    missed: dict[float, float] = {}
     while (passed := (time.perf_counter() - begin) / (60 * minutes)) < 1:
         fresh = _joined([patch(found, generator) for _ in range(_FRESH)])
         if len(kept[0]) < _KEPT:

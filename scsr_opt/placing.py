@@ -149,7 +149,7 @@ class Measurements(NamedTuple):
             samples = jax.tree.map(lambda values: values[chosen], samples)
             placed = placed.only(jnp.asarray(np.pad(chosen, (0, samples.padded().row.size - chosen.size))))
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), placed.weight))
-        moved = motion.speed * np.float32(len(stream.spikes))
+        moved = motion.moved(len(stream.spikes))
         gains = blind_gain(samples, predicted, moved=moved, white_rate=stream.white_rate, weight=weight)
         return gains if at_rest is None else np.where(gain_is_known(moved), gains, at_rest)
 

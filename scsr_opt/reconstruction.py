@@ -151,7 +151,7 @@ def reconstruct(
     clock.lap("motion")
 
     learned: dict[str, float] = {}
-    known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
+    known = gain_is_known(motion.moved(len(stream.spikes)))
     resting = None
     if blind and not known.all():
         gains = resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
@@ -221,7 +221,7 @@ def reconstruct(
             motion = estimated(velocity, gains)
             measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
             plan = _plan(stream, motion, measured_as, noise, measuring) if skip else None
-            known = gain_is_known(motion.speed * np.float32(len(stream.spikes)))
+            known = gain_is_known(motion.moved(len(stream.spikes)))
             gains = measured_as.gain(stream, motion, found.blurred, at_rest=resting)
         taken = measured_as.with_gain(gains, known, noise)
         if validate and turn == 0:  # a fixed pattern asked for more

@@ -160,7 +160,7 @@ def validated_strength(
     least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
     good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
-    moved = motion.speed * np.float32(len(stream.spikes))
+    moved = motion.moved(len(stream.spikes))
     parts, by_pixels = [], []
     for area in _chosen(np.asarray(image), scale, side, good):
         pieces = taken

@@ -66,11 +66,8 @@ def share_of_unknown_gain(
     **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `gain` where it is `known`, and what was
     taken for it elsewhere; `noise`, the standard deviation of a pixel's mean without that, intensity.
     """
-    pixel, shape = samples.row * gain.shape[1] + samples.column, gain.shape
-    light = np.bincount(pixel, samples.weight * samples.value, minlength=gain.size).reshape(shape)
-    weight = np.bincount(pixel, samples.weight, minlength=gain.size).reshape(shape)
     left = max(spread_of(gain, known) ** 2 - spread_of(gain, ~known) ** 2, 0.0) ** 0.5
-    error = left * light / np.where(weight > 0, weight, 1)
+    error = left * samples.mean_light((gain.shape[0], gain.shape[1]))
     return np.where(known, 1, 1 / (1 + (error / noise) ** 2)).astype(np.float32)
 
 
@@ -97,13 +94,7 @@ def flat_gain(
     if even_over < 3:
         raise InputError(f"even_over is {even_over}, but a median of neighbours needs at least 3 pixels.")
     shape = (spikes.shape[1], spikes.shape[2])
-    samples = spike_intervals(spikes, shortest=spikes.shape[0], bad_pixels=bad_pixels)
-    pixel = samples.row * shape[1] + samples.column
-    light, weight = (
-        np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
-        for of in (samples.weight * samples.value, samples.weight)
-    )
-    rate = light / np.where(weight > 0, weight, 1)
+    rate = spike_intervals(spikes, shortest=spikes.shape[0], bad_pixels=bad_pixels).mean_light(shape)
     bad = np.zeros(shape, bool) if bad_pixels is None else bad_pixels
     # Bad pixels say nothing about the light: they take the median of the good ones, which leaves their neighbours' be.
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)

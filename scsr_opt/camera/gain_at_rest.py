@@ -96,14 +96,13 @@ def rates_at_rest(
     spikes: Shaped[np.ndarray, "T h w"], *, white_rate: float | int
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Intensity of each pixel of a still scene, from all its intervals, and the relative standard deviation of that,
-    as the two halves of the recording and the pixels around tell it."""
+    as the two halves of the recording and the pixels around tell it. `white_rate`: spikes per frame of a pixel at
+    intensity 1."""
 
     def rate(spikes: Shaped[np.ndarray, "t h w"]) -> Float[np.ndarray, "h w"]:
         frames, height, width = spikes.shape
         samples = spike_intervals(spikes, white_rate=white_rate, shortest=frames)
-        pixel, size = samples.row * width + samples.column, height * width
-        light, weight = (np.bincount(pixel, of, size) for of in (samples.weight * samples.value, samples.weight))
-        return (light / np.where(weight > 0, weight, 1)).reshape(height, width).astype(np.float32)
+        return samples.mean_light((height, width)).astype(np.float32)
 
     half = len(spikes) // 2
     whole, differs = rate(spikes), rate(spikes[:half]) - rate(spikes[half:])
@@ -119,7 +118,7 @@ def gain_at_rest(
 ) -> Float[np.ndarray, "h w"]:
     """Gains of a camera before a still scene, as far as they can be told from the picture.
 
-    Of gains that spread by 5 % three quarters of the variance are left in the mean of pictures, and much less where
+    Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less where
     they are plain. All gains are 1 unless they seem to spread by 0.6 % or more in nine tenths of the squares of 8×8
     pixels that show any.
 

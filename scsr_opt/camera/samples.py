@@ -57,6 +57,12 @@ class Samples(eqx.Module):
         """How many samples take part (weight above 0)."""
         return int(np.count_nonzero(self.weight))
 
+    def mean_light(self, shape: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+        """Weighted mean of each pixel's values, intensity, on a sensor of this shape; 0 where there is no sample."""
+        pixel, size = self.row * shape[1] + self.column, shape[0] * shape[1]
+        light, weight = (np.bincount(pixel, of, size) for of in (self.weight * self.value, self.weight))
+        return (light / np.where(weight > 0, weight, 1)).reshape(shape)
+
     def padded(self) -> "Samples":
         """The same samples, padded with weight 0 to one of few lengths.
 

@@ -135,6 +135,11 @@ class Motion(eqx.Module):
         """Sensor pixels per frame."""
         return np.hypot(*self.velocity)
 
+    def moved(self, frames: int) -> Float[np.ndarray, "h w"]:
+        """How far the scene moves at each pixel in so many frames, sensor pixels; infinite beyond float32."""
+        with np.errstate(over="ignore"):
+            return self.speed * np.float32(frames)
+
 
 class Trajectory(eqx.Module):
     """Key-frame positions for all sensor pixels at moments `first`, `first` + SPACING, … (frames).

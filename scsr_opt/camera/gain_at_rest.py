@@ -118,9 +118,9 @@ def gain_at_rest(
 ) -> Float[np.ndarray, "h w"]:
     """Gains of a camera before a still scene, as far as they can be told from the picture.
 
-    Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less where
-    they are plain. All gains are 1 unless they seem to spread by 0.6 % or more in nine tenths of the squares of 8×8
-    pixels that show any.
+    Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
+    where they are plain. All gains are 1 unless they seem to spread by 0.6 % or more in nine tenths of the squares of
+    8×8 pixels that show any.
 
     **Arguments:**
     - `spikes`: (T, h, w); what moves by less than a pixel is still enough.

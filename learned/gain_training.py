@@ -75,6 +75,12 @@ def patch(found: list[np.ndarray], generator: np.random.Generator, spread: float
     return rate[None], noise[None].astype(np.float32), np.log(np.maximum(made.gain, 0.1))[None].astype(np.float32)
 
 
+def kept_out(found: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The pictures to train on, and the last sixteenth of all, one at least, which is kept to test with."""
+    last = max(1, len(found) // 16)
+    return found[:-last] or found, found[-last:]
+
+
 def _joined(patches: list[Patches]) -> Patches:
     rate, noise, gain = (np.concatenate(of) for of in zip(*patches, strict=True))
     return rate, noise, gain
@@ -123,8 +129,7 @@ def train(
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
     state = optimiser.init(eqx.filter(network, eqx.is_array))
     step = make_step(optimiser)
-    held_out = found[-max(1, len(found) // 16) :]
-    found = found[: -len(held_out)] or held_out
+    found, held_out = kept_out(found)
     tests = {s: _joined([patch(held_out, generator, s) for _ in range(_HELD_OUT)]) for s in (0.0, 0.05)}
     kept = _joined([patch(found, generator) for _ in range(_BATCH)])
     losses: list[float] = []

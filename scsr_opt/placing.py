@@ -19,6 +19,7 @@ from scsr_opt.cutting import cut_to_seen
 from scsr_opt.inputs import bad_pixels_of, number, whole
 from scsr_opt.motion.estimate import filled
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
+from scsr_opt.operators.robust import Loss, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, place
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
@@ -138,17 +139,20 @@ class Measurements(NamedTuple):
         motion: Motion,
         blurred: Float[Array, "H W"],
         *,
+        robust: Loss | None = None,
         of: Bool[np.ndarray, "h w"] | None = None,
         at_rest: Float[np.ndarray, "h w"] | None = None,
     ) -> Float[np.ndarray, "h w"]:
         """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), `of` some pixels only
-        if given. Where the scene does not move by a pixel, those `at_rest`, or 1."""
+        if given. Where the scene does not move by a pixel, those `at_rest`, or 1. `robust`: the loss that the picture
+        was fitted by; what counted little for the picture says little of gains."""
         samples, placed = self.samples, self.placed
         if of is not None:
             chosen = np.flatnonzero(of.reshape(-1)[samples.row * of.shape[1] + samples.column])
             samples = jax.tree.map(lambda values: values[chosen], samples)
             placed = placed.only(jnp.asarray(np.pad(chosen, (0, samples.padded().row.size - chosen.size))))
-        predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), placed.weight))
+        used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
+        predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
         moved = motion.moved(len(stream.spikes))
         gains = blind_gain(samples, predicted, moved=moved, white_rate=stream.white_rate, weight=weight)
         return gains if at_rest is None else np.where(gain_is_known(moved), gains, at_rest)

@@ -154,7 +154,8 @@ def reconstruct(
     known = gain_is_known(motion.moved(len(stream.spikes)))
     resting = None
     if blind and not known.all():
-        gains = resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+        resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+        gains = np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     measuring = Intervals() if samples is None else samples
     taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip)
@@ -204,25 +205,25 @@ def reconstruct(
     found = rounds(taken.placed, image, state, near=near)
     stages = found.outcome.stages
     measured_as = taken
-    turns = _TURNS if blind else 0
-    if blind and gain == "auto" and found.outcome.result.good:
+    turns = _TURNS if blind and known.any() else 0
+    if turns and gain == "auto" and found.outcome.result.good:
         few = np.zeros(known.size, bool)
         few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT)]] = True
         few = few.reshape(known.shape)
-        looked = measured_as.gain(stream, motion, found.blurred, of=few) if few.any() else np.ones_like(motion.speed)
+        looked = measured_as.gain(stream, motion, found.blurred, robust=robust, of=few)
         learned["gain_spread"] = spread_of(looked, few)
         turns = _TURNS if learned["gain_spread"] >= FIXED_PATTERN else 0
     for turn in range(turns):
         if not found.outcome.result.good:
             break
-        gains = measured_as.gain(stream, motion, found.blurred, at_rest=resting)
+        gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=resting)
         learned["gain_spread"] = spread_of(gains, known)
         if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
             motion = estimated(velocity, gains)
             measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
             plan = _plan(stream, motion, measured_as, noise, measuring) if skip else None
             known = gain_is_known(motion.moved(len(stream.spikes)))
-            gains = measured_as.gain(stream, motion, found.blurred, at_rest=resting)
+            gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=resting)
         taken = measured_as.with_gain(gains, known, noise)
         if validate and turn == 0:  # a fixed pattern asked for more
             rounds = replace(rounds, strength=jnp.asarray(validated(taken).strength, jnp.float32))

@@ -109,7 +109,7 @@ class Rounds:
         """The quadratic that lies on or above the true data term and touches it at `image`."""
         if self.robust is None:
             return plain if placed.finest == 1 else with_exposure(plain, placed, image)
-        factors = robust_factors(self.robust, placed, plain, image)
+        factors = robust_factors(self.robust, placed, plain.blurred(image))
         plain = with_bound(accumulate(placed, robust=factors, optics=self.optics))
         return plain if placed.finest == 1 else with_exposure(plain, placed, image, robust=factors)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from skimage import data
 
+import scsr_opt.reconstruction
 from scsr_opt import InputError, Result, reconstruct
 from scsr_opt.camera import Intervals, Noise, Sensor, Simulation, Windows, simulate
 from scsr_opt.camera.gain import FIXED_PATTERN
@@ -153,6 +154,35 @@ def test_blind_gains_mend_the_motion():
     found, ignored = error("blind"), error(None)
     print(f"velocity wrong by {found:.5f} with the gains found, {ignored:.5f} without")
     assert 3 * found < ignored
+
+
+def test_gains_behind_a_robust_fit_do_not_mislead():
+    """What counted little for the picture has as little say in the gains. Measured: 31.52 dB without gains, 31.55 with
+    them; 30.4 where all samples had the same say."""
+    scene = Translation(data.camera()[100:220, 150:270] / 255, (0.1, 0.24))
+    made = simulate(scene, scale=2, sensor=Sensor(fixed_pattern=0.05), seed=0)
+    found, ignored = (
+        reconstruct(made.spikes, scale=2, velocity=(0.05, 0.12), robust=Huber(), gain=gain) for gain in ("blind", None)
+    )
+    assert found.stats["gain_spread"] > FIXED_PATTERN
+    assert psnr(made.truth(50.0), found.image, 8) > psnr(made.truth(50.0), ignored.image, 8) - 0.1
+
+
+def test_gains_at_rest_are_for_what_rests(made, monkeypatch):
+    """What is taken for gain in a still scene says nothing of a pixel that something passes."""
+    velocity = np.zeros((2, 24, 24), np.float32)
+    velocity[1, :12] = 0.2
+    handed_on = []
+    measured = scsr_opt.reconstruction.measured
+
+    def watched(*arguments, gain=None, **options):
+        handed_on.append(gain)
+        return measured(*arguments, gain=gain, **options)
+
+    monkeypatch.setattr(scsr_opt.reconstruction, "measured", watched)
+    monkeypatch.setattr(scsr_opt.reconstruction, "gain_at_rest", lambda *_, **__: np.full((24, 24), 1.5))
+    reconstruct(made.spikes, scale=SCALE, velocity=velocity, solver=FISTA(iterations=1), strength=1e-3)
+    assert (handed_on[0][:12] == 1).all() and (handed_on[0][12:] == 1.5).all()
 
 
 def test_gains_that_do_not_spread_are_left_alone(made, usual):

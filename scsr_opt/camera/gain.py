@@ -14,8 +14,10 @@ tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.camera.
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
+from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 
+from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, checked_settings
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.errors import InputError
 
@@ -74,7 +76,7 @@ def share_of_unknown_gain(
 def flat_gain(
     spikes: Shaped[np.ndarray, "T h w"],
     *,
-    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    bad_pixels: ArrayLike | None = None,
     even_over: int = 15,
 ) -> Float[np.ndarray, "h w"]:
     """Gains from a recording of an evenly lit, still surface: a pixel's rate over the median rate around it.
@@ -83,19 +85,20 @@ def flat_gain(
 
     **Arguments:**
     - `spikes`: (T, h, w); the longer the better.
-    - `bad_pixels`: (h, w), true for pixels to be left out; they get gain 1.
+    - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
     - `even_over`: sensor pixels over which the light may be taken as even; what varies more slowly (vignetting) is left
       in.
 
     **Returns:** (h, w), around 1.
 
-    **Raises:** `InputError` if `even_over` is less than 3.
+    **Raises:** `InputError` if `even_over` is less than 3, or `bad_pixels` no such mask.
     """
     if even_over < 3:
         raise InputError(f"even_over is {even_over}, but a median of neighbours needs at least 3 pixels.")
     shape = (spikes.shape[1], spikes.shape[2])
-    rate = spike_intervals(spikes, shortest=spikes.shape[0], bad_pixels=bad_pixels).mean_light(shape)
-    bad = np.zeros(shape, bool) if bad_pixels is None else bad_pixels
+    known_bad = checked_settings(spikes.shape, READOUT_RATE, WHITE_RATE, bad_pixels)["bad_pixels"]
+    rate = spike_intervals(spikes, shortest=spikes.shape[0], bad_pixels=known_bad).mean_light(shape)
+    bad = np.zeros(shape, bool) if known_bad is None else known_bad
     # Bad pixels say nothing about the light: they take the median of the good ones, which leaves their neighbours' be.
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)
     around = median_filter(filled, size=even_over, mode="nearest")

@@ -16,8 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
+from scsr_opt.camera.recording import READOUT_RATE, checked_settings
 from scsr_opt.camera.samples import spike_intervals
 
 WEIGHTS = Path(__file__).parent / "weights" / "gain_at_rest.npz"
@@ -26,18 +28,20 @@ WEIGHTS = Path(__file__).parent / "weights" / "gain_at_rest.npz"
 _DARK = 0.02
 # So that what the network sees of pictures is about 0 in the mean, and of noise about 1 at most.
 _MIDDLE, _NOISE, _MOST = 1.2, 10.0, 3.0
-# Sensor pixels over which noise is taken as even.
-_EVEN = 2.0
+# Sensor pixels over which noise is taken as even, and from how far bad pixels take their light.
+_EVEN, _BESIDE = 2.0, 1.0
 _LEAK = 0.1  # slope of activations below 0
 # ln g further from 0 are not believed: 1.65 and 0.61 are bad pixels rather than gains.
 _FARTHEST = 0.5
 # A recording has a fixed pattern if gains spread by so much in all but the plainest tenth of its squares of so many
-# sensor pixels a side. Of 24 pictures that were not trained on, at ×2 and ×4, 46 of 48 recordings without a pattern
-# stayed below (0.0001 to 0.0059), and all with one of 5 % came above (0.0062 to 0.042).
-_PATTERN, _PLAINEST, _SQUARE = 0.006, 0.1, 8
+# sensor pixels a side. A part of a picture may be texture as white as gains are, so that there have to be many squares.
+# `python -m benchmarks.gains_at_rest` counts how often the rule is wrong (docs/measurements.md).
+_PATTERN, _PLAINEST, _SQUARE, _FEWEST = 0.01, 0.1, 8, 25
 # Squares darker than this are passed over, as what hardly fires shows no gain, and those of more relative noise, in
 # which a gain would be noise. So large a share of all has to be left.
 _LIT, _NOISY, _ENOUGH = 0.05, 0.04, 0.1
+# Trained on pictures up to white: where this share of the pixels is brighter, the white rate is taken for wrong.
+_WHITE = 0.01
 
 
 class GainNetwork(eqx.Module):
@@ -93,56 +97,67 @@ def _leaky(x: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 def rates_at_rest(
-    spikes: Shaped[np.ndarray, "T h w"], *, white_rate: float | int
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    white_rate: float | int,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Intensity of each pixel of a still scene, from all its intervals, and the relative standard deviation of that,
-    as the two halves of the recording and the pixels around tell it. `white_rate`: spikes per frame of a pixel at
-    intensity 1."""
+    as the two halves of the recording and the pixels around tell it; bad pixels take what is around them.
+    `white_rate`: spikes per frame of a pixel at intensity 1."""
 
     def rate(spikes: Shaped[np.ndarray, "t h w"]) -> Float[np.ndarray, "h w"]:
         frames, height, width = spikes.shape
         samples = spike_intervals(spikes, white_rate=white_rate, shortest=frames)
         return samples.mean_light((height, width)).astype(np.float32)
 
+    good = np.ones(spikes.shape[1:], np.float32) if bad_pixels is None else (~bad_pixels).astype(np.float32)
+
+    def around(of: Float[np.ndarray, "h w"], reach: float) -> Float[np.ndarray, "h w"]:
+        return gaussian_filter(of * good, reach) / (gaussian_filter(good, reach) + np.float32(1e-6))
+
     half = len(spikes) // 2
     whole, differs = rate(spikes), rate(spikes[:half]) - rate(spikes[half:])
-    return whole, np.sqrt(gaussian_filter(differs**2, _EVEN)) / 2 / (whole + np.float32(_DARK))
+    whole = np.where(good > 0, whole, around(whole, _BESIDE))
+    return whole, np.sqrt(around(differs**2, _EVEN)) / 2 / (whole + np.float32(_DARK))
 
 
 def gain_at_rest(
     spikes: Shaped[np.ndarray, "T h w"],
     *,
     white_rate: float | int,
-    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    bad_pixels: ArrayLike | None = None,
     network: GainNetwork | None = None,
 ) -> Float[np.ndarray, "h w"]:
     """Gains of a camera before a still scene, as far as they can be told from the picture.
 
     Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
-    where they are plain. All gains are 1 unless they seem to spread by 0.6 % or more in nine tenths of the squares of
-    8×8 pixels that show any.
+    where they are plain. All gains are 1 unless they seem to spread by 1 % or more in nine tenths of the squares of 8×8
+    pixels that show any, 25 at least. A scene that is fine texture all over may still be taken for a pattern: in 2 of
+    100 parts of 60×60 and 120×120 pixels of pictures without one.
 
     **Arguments:**
     - `spikes`: (T, h, w); what moves by less than a pixel is still enough.
     - `white_rate`: spikes per frame of a pixel at intensity 1.
-    - `bad_pixels`: (h, w), true for pixels to be left out; they get gain 1.
+    - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
     - `network`: the shipped one, if not given.
 
     **Returns:** (h, w), around 1.
+
+    **Raises:** `InputError` if `white_rate` is not above 0, or `bad_pixels` no such mask.
     """
+    bad = checked_settings(spikes.shape, READOUT_RATE, white_rate, bad_pixels)["bad_pixels"]
     if len(spikes) < 2:
         return np.ones(spikes.shape[1:], np.float32)
-    rate, noise = rates_at_rest(spikes, white_rate=white_rate)
-    good = np.ones(rate.shape, bool) if bad_pixels is None else ~bad_pixels
-    if not good.all():
-        near = gaussian_filter(good.astype(np.float32), 1.0) + np.float32(1e-6)
-        rate, noise = (np.where(good, of, gaussian_filter(of * good, 1.0) / near) for of in (rate, noise))
+    rate, noise = rates_at_rest(spikes, white_rate=white_rate, bad_pixels=bad)
+    rate = rate / max(float(np.quantile(rate, 1 - _WHITE)), 1.0)
     network = GainNetwork.load() if network is None else network
     found = np.asarray(_found(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
-    found = np.where(good, np.clip(found, -_FARTHEST, _FARTHEST), 0)
+    found = np.where(np.zeros_like(found, bool) if bad is None else bad, 0, np.clip(found, -_FARTHEST, _FARTHEST))
     squares, light, noise = (_in_squares(of) for of in (found, rate, noise))
     spread = squares.std(1)[(light.mean(1) > _LIT) & (noise.mean(1) < _NOISY)]
-    if spread.size == 0 or spread.size < _ENOUGH * len(squares) or np.quantile(spread, _PLAINEST) < _PATTERN:
+    enough = spread.size >= max(_FEWEST, _ENOUGH * len(squares))
+    if not enough or np.quantile(spread, _PLAINEST) < _PATTERN:
         return np.ones_like(rate)
     return np.exp(found).astype(np.float32)
 

@@ -116,7 +116,7 @@ def _learned(stats: dict[str, Any]) -> list[str]:
         lines.append(f"Fixed pattern: gains spread by {100 * stats['gain_spread']:.2g} %.")
     if stats.get("gain_spread_at_rest"):
         told = 100 * stats["gain_spread_at_rest"]
-        lines.append(f"Fixed pattern: where nothing moves, {told:.2g} % of the light is taken for it.")
+        lines.append(f"Fixed pattern: where nothing moves, gains seem to spread by {told:.2g} %.")
     return lines
 
 

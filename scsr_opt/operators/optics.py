@@ -79,7 +79,7 @@ def estimate_gaussian_optics(
     for sigma in sigmas:
         optics = _gaussian(widest, float(sigma) * placed.scale)
         term = accumulate(placed, robust=1 - held, optics=optics)
-        squared = np.asarray(residuals(placed, term, jnp.asarray(solve(term))), np.float64) ** 2
+        squared = np.asarray(residuals(placed, term.blurred(jnp.asarray(solve(term)))), np.float64) ** 2
         error.append(np.bincount(number, weight * squared)[np.bincount(number, weight) > 0])
     # By pixel, since the samples of a pixel share what is wrong with them.
     errors = np.stack(error)

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples
+from scsr_opt.operators.sampling import PlacedSamples
 
 
 class Loss(eqx.Module):
@@ -80,17 +80,17 @@ class Welsch(Loss):
         return jnp.exp(-((residual / self.threshold) ** 2))
 
 
-def residuals(placed: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, " n"]:
-    """r_j·B X − Y_j of every sample, intensity; whatever it is worth for samples of weight 0."""
-    return placed.read(term.blurred(image)) - placed.value
+def residuals(placed: PlacedSamples, blurred: Float[Array, "H W"]) -> Float[Array, " n"]:
+    """r_j·U − Y_j of every sample, intensity, U = B X (`DataTerm.blurred`); whatever it is worth for samples of weight
+    0."""
+    return placed.read(blurred) - placed.value
 
 
 @eqx.filter_jit
 def robust_factors(
     loss: Loss,
     placed: PlacedSamples,
-    term: DataTerm,
-    image: Float[Array, "H W"],
+    blurred: Float[Array, "H W"],
     *,
     deviation: Float[Array, " n"] | None = None,
 ) -> Float[Array, " n"]:
@@ -98,15 +98,15 @@ def robust_factors(
 
     **Arguments:**
     - `loss`: ρ.
-    - `placed`, `term`: the samples, and a data term made from them (only its blur B is used).
-    - `image`: X, the picture so far.
+    - `placed`: the samples.
+    - `blurred`: B X of the picture so far (`DataTerm.blurred`).
     - `deviation`: (n,), standard deviation of each sample's noise, intensity (`Noise.deviation` for intervals). If not
       given it is taken as σ/√ω, with the σ for which the median size of the residuals is that of normal noise.
 
     **Returns:** (n,) in [0, 1].
     """
     used = placed.weight > 0
-    size = jnp.abs(residuals(placed, term, image))
+    size = jnp.abs(residuals(placed, blurred))
     if deviation is None:
         size = size * jnp.sqrt(placed.weight)
         # Normal noise is within 0.6745 standard deviations half of the time.

@@ -1,5 +1,7 @@
 """Gains of a still scene, which only knowledge of pictures can tell, against those that the simulator gave."""
 
+import re
+
 import numpy as np
 import pytest
 from skimage import data
@@ -7,6 +9,7 @@ from skimage import data
 from scsr_opt.camera.gain_at_rest import GainNetwork, gain_at_rest, rates_at_rest
 from scsr_opt.camera.scenes import Static
 from scsr_opt.camera.simulator import Sensor, Simulation, simulate
+from scsr_opt.errors import InputError
 
 PATTERN = 0.05
 
@@ -71,6 +74,46 @@ def test_small_sensors_and_none_that_fires(shape):
     for spikes in (fired, np.zeros_like(fired), np.ones_like(fired)):
         found = gain_at_rest(spikes, white_rate=0.6)
         assert found.shape == shape and found.dtype == np.float32 and np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("side", [8, 17, 32])
+def test_a_small_sensor_is_not_taken_to_have_a_pattern(side):
+    """Of few squares all may be texture: without a minimum a third of such parts of 8×8 pixels had one."""
+    for picture in (data.grass(), data.brick(), data.gravel()):
+        made = simulate(Static(picture[: 2 * side, : 2 * side] / 255), scale=2, sensor=Sensor(photons=1000.0), seed=1)
+        assert (gain_at_rest(made.spikes, white_rate=0.6) == 1).all()
+
+
+@pytest.mark.parametrize("picture", [data.brick(), data.gravel(), data.camera()], ids=["brick", "gravel", "camera"])
+def test_a_white_rate_that_is_too_low_makes_no_pattern(picture):
+    """What is brighter than white is unlike all that the network has seen."""
+    made = simulate(Static(picture[:160, :160] / 255), scale=2, sensor=Sensor(photons=1000.0), seed=1)
+    for white_rate in (0.06, 0.15, 0.3):
+        assert (gain_at_rest(made.spikes, white_rate=white_rate) == 1).all()
+
+
+def test_a_bad_pixel_is_left_out_whatever_it_does():
+    made = still(PATTERN)
+    bad = np.random.default_rng(0).random(made.gain.shape) < 0.05
+    hot, flickering = made.spikes.copy(), made.spikes.copy()
+    hot[:, bad], flickering[:50, bad], flickering[50:, bad] = 1, 1, 0
+    usual, other = (gain_at_rest(spikes, white_rate=0.6, bad_pixels=bad) for spikes in (hot, flickering))
+    assert usual.std() > 0.02
+    np.testing.assert_allclose(other, usual, atol=1e-6)
+    np.testing.assert_array_equal(gain_at_rest(hot, white_rate=0.6, bad_pixels=bad.astype(np.uint8)), usual)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"white_rate": 0}, "white_rate is 0, but it must be a number above 0"),
+        ({"white_rate": 0.6, "bad_pixels": np.zeros((3, 3), bool)}, "bad_pixels has shape (3, 3), but the sensor has"),
+        ({"white_rate": 0.6, "bad_pixels": np.full((9, 8), 2)}, "bad_pixels holds values"),
+    ],
+)
+def test_refuses(options, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        gain_at_rest(np.zeros((20, 9, 8), np.uint8), **options)
 
 
 def test_a_network_is_the_same_after_it_was_written(tmp_path):

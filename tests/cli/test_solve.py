@@ -131,7 +131,7 @@ def test_solve_tells_what_it_learned_of_the_camera(scsr, monkeypatch, file):
     said = scsr("solve", file, "-o", "a.png")
     assert "Lens: blurs by a standard deviation of 0.53 sensor pixels.\n" in said
     assert "Fixed pattern: gains spread by 4.3 %.\n" in said
-    assert "Fixed pattern: where nothing moves, 2.7 % of the light is taken for it.\n" in said
+    assert "Fixed pattern: where nothing moves, gains seem to spread by 2.7 %.\n" in said
 
 
 def test_what_reconstruct_refuses_is_one_line(scsr, monkeypatch, file):

@@ -6,9 +6,11 @@ the aperture at (i, j) of that larger grid has its centre at (i − 1, j − 1) 
 
 import inspect
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,6 +21,7 @@ from scsr_opt import solvers
 from scsr_opt.errors import InputError
 from scsr_opt.operators import DataTerm, PlacedSamples, Taps, accumulate
 from scsr_opt.priors import TotalVariation
+from scsr_opt.solvers.problem import with_bound
 
 DEFAULT = "FISTA"
 """The row of the solver that `reconstruct` takes where none is given."""
@@ -76,26 +79,29 @@ def methods(case: Case) -> Iterator[Method]:
     """Each solver from M and c, and the default one from the samples, too."""
     samples = placed(case)
     ready = problem(case, samples)
+    # With the bound of L, as `reconstruct` finds it once for each M; the other libraries are handed L.
+    ready = eqx.tree_at(lambda p: p.data, ready, with_bound(ready.data))
     start = jnp.asarray(case.start, jnp.float32)
 
-    def solve(solver: Callable[..., solvers.Solver], iterations: int) -> Float[np.ndarray, "H W"]:
-        # A tolerance of 0 never ends a run, so that the count of iterations alone does.
-        return solvers.run(solver(iterations=iterations, tolerance=0), ready, start).image
+    def solve(solver: solvers.Solver) -> Float[np.ndarray, "H W"]:
+        return solvers.run(solver, ready, start).image
 
     def accumulate_and_solve(iterations: int) -> Float[np.ndarray, "H W"]:
         return solvers.run(solvers.FISTA(iterations=iterations, tolerance=0), problem(case, samples), start).image
 
     for name in solvers.__all__:
-        solver = getattr(solvers, name)
-        if not (inspect.isclass(solver) and issubclass(solver, solvers.Solver)) or inspect.isabstract(solver):
+        kind = getattr(solvers, name)
+        if not (inspect.isclass(kind) and issubclass(kind, solvers.Solver)) or inspect.isabstract(kind):
             continue
+        solver: Any = kind
         try:
-            solve(solver, 1)
+            solve(solver(iterations=1, tolerance=0))
         except InputError as refusal:
             # Solvers for smooth priors say so.
             print(f"{name} is left out: {refusal}", file=sys.stderr)
             continue
-        yield Method(name, lambda n, solver=solver: partial(solve, solver, n))
+        # A tolerance of 0 never ends a run, so that the count of iterations alone does.
+        yield Method(name, lambda n, solver=solver: partial(solve, solver(iterations=n, tolerance=0)))
     yield Method(INCLUDING, lambda n: partial(accumulate_and_solve, n))
 
 

@@ -22,7 +22,7 @@ import optax
 from jaxtyping import Array, Float
 
 from learned.ridge_training import pictures
-from scsr_opt.camera.gain_at_rest import GainNetwork, rates_at_rest
+from scsr_opt.camera.gain_network import GainNetwork, rates_at_rest
 from scsr_opt.camera.scenes import Static
 from scsr_opt.camera.simulator import Sensor, simulate
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
-from scsr_opt.camera.gain_at_rest import gain_at_rest
+from scsr_opt.camera.gain_network import gain_at_rest
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
@@ -84,8 +84,9 @@ def reconstruct(
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from the recording: where the scene moves by a
       pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
       (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
-      chance (`FIXED_PATTERN`). Motion is then estimated anew, as it is over gains handed in: a pattern rests, whatever
-      moves.
+      chance (`FIXED_PATTERN`). Where it is solved again the motion is estimated anew, as it is over gains handed in: a
+      pattern rests, whatever moves. `Solution.stats` has their standard deviations, `gain_spread` where the scene moves
+      by a pixel and `gain_spread_at_rest` elsewhere.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
       pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
     - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.

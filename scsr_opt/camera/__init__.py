@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scsr_opt.camera.flat import parse_size
     from scsr_opt.camera.formats import read_recording
     from scsr_opt.camera.gain import blind_gain, flat_gain, with_gain
-    from scsr_opt.camera.gain_at_rest import gain_at_rest
+    from scsr_opt.camera.gain_network import gain_at_rest
     from scsr_opt.camera.measuring import Intervals, Measuring, Windows
     from scsr_opt.camera.noise import Noise, estimate_photons
     from scsr_opt.camera.playback import stp, tfi, tfp
@@ -68,7 +68,7 @@ _MODULES = {
         "flat_gain",
         "with_gain",
     ),
-    "gain_at_rest": ("gain_at_rest",),
+    "gain_network": ("gain_at_rest",),
     "noise": (
         "Noise",
         "estimate_photons",

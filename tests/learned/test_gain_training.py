@@ -8,7 +8,7 @@ import numpy as np
 
 from learned import gain_training
 from learned.gain_training import patch, train
-from scsr_opt.camera.gain_at_rest import GainNetwork
+from scsr_opt.camera.gain_network import GainNetwork
 
 
 def test_patches_are_what_the_sensor_made_of_pictures():

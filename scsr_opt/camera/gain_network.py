@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt.camera.recording import READOUT_RATE, checked_settings
 from scsr_opt.camera.samples import spike_intervals
 
-WEIGHTS = Path(__file__).parent / "weights" / "gain_at_rest.npz"
+WEIGHTS = Path(__file__).parent / "weights" / "gain_network.npz"
 """The trained network, with a card beside it that says what it was trained on."""
 # Intensity at which the logarithm of a rate becomes linear: what is darker hardly fires, and shows no gain.
 _DARK = 0.02

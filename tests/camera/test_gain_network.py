@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from scsr_opt.camera.gain_at_rest import GainNetwork, gain_at_rest, rates_at_rest
+from scsr_opt.camera.gain_network import GainNetwork, gain_at_rest, rates_at_rest
 from scsr_opt.camera.scenes import Static
 from scsr_opt.camera.simulator import Sensor, Simulation, simulate
 from scsr_opt.errors import InputError

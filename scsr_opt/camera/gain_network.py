@@ -133,7 +133,7 @@ def gain_at_rest(
 
     Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
     where they are plain. All gains are 1 unless they seem to spread by 1 % or more in nine tenths of the squares of 8×8
-    pixels that show any, 25 at least. A scene that is fine texture all over may still be taken for a pattern: in 2 of
+    pixels that show any, 25 at least. A scene that is fine texture all over may still be taken for a pattern: 1 in
     100 parts of 60×60 and 120×120 pixels of pictures without one.
 
     **Arguments:**

@@ -56,10 +56,11 @@ def stretches(
 
     The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it
     each at most): what fills such gaps is the same light at other times, which stands still, and pulls a velocity
-    towards zero by about 1 % if it takes part.
+    towards zero by about 1 % if it takes part, and by 5 % by day, up to all of it in dim light, where the key frame is
+    at that end. So the key frame itself may be among what is left out.
     """
     frames = spikes.shape[0]
-    begin, end = _measured(spikes, key)
+    begin, end = _measured(spikes)
     # By the length of the recording alone, so that compiled code is met again whatever is left out at the ends.
     number = min(max(frames // 4, 2), most) if frames > 2 else 1
     edges = np.linspace(begin, end, number + 1)
@@ -73,8 +74,8 @@ def stretches(
 _FIRED = 0.85
 
 
-def _measured(spikes: Shaped[np.ndarray, "T h w"], key: int) -> tuple[int, int]:
-    """First and last frame between which most pixels are measured between two spikes; always around the key frame."""
+def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
+    """First and last frame between which most pixels are measured between two spikes."""
     frames = spikes.shape[0]
     if frames < 16:
         return 0, frames - 1
@@ -83,8 +84,7 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"], key: int) -> tuple[int, int]:
     if some.shape[1] == 0:
         return 0, frames - 1
     early, late = (int(np.quantile(part.argmax(0), _FIRED, method="higher")) for part in (some, some[::-1]))
-    begin, end = min(early, frames // 5), frames - 1 - min(late, frames // 5)
-    return min(begin, key), max(end, key)
+    return min(early, frames // 5), frames - 1 - min(late, frames // 5)
 
 
 class Drift(NamedTuple):

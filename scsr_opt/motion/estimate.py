@@ -13,16 +13,14 @@ from scipy.spatial import ConvexHull, QhullError
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.dense import accelerated, dense
 from scsr_opt.motion.estimator import Estimator
-from scsr_opt.motion.evidence import Missed, at_rest, contradicted, heard, missed, typical_noise
+from scsr_opt.motion.evidence import TOLERATED_AT_REST, Missed, at_rest, contradicted, heard, missed, typical_noise
 from scsr_opt.motion.layers import layered
 from scsr_opt.motion.parametric import parametric
 from scsr_opt.motion.phase import PhaseCorrelation
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.trust import trusted
 
-# The share of the pixels that may contradict before the next richer motion is tried: of nothing moves, of one motion
-# for all.
-_TOLERATED_AT_REST = 0.001
+# The share of the pixels that may contradict one motion for all before a richer one is tried.
 _TOLERATED_GLOBAL = 0.01
 # The share of the sensor that has to be certainly at rest, single pixels aside, for that to rule out one motion for
 # all. Slow pans, by half a sensor pixel to one and a half over the recording, had up to 0.03 by mistake; scenes with an
@@ -96,7 +94,7 @@ class Automatic(Estimator):
     def __call__(self, pictures: Stretches) -> Motion:
         still = Motion.none(*pictures.picture.shape[1:])
         moving, resting = at_rest(pictures)
-        rests = bool(moving.mean() <= _TOLERATED_AT_REST)
+        rests = bool(moving.mean() <= TOLERATED_AT_REST)
         if self.skip and rests:
             return still
         several = _takes_several(resting, moving)

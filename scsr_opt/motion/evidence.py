@@ -17,6 +17,8 @@ from scsr_opt.motion.trajectory import Motion, bilinear, seen_at
 _CONTRADICTION = 100.0
 _DRIFT = 0.5
 _WINDOW = 3.0
+TOLERATED_AT_REST = 0.001
+"""The share of the pixels that may contradict that nothing moves without it being doubted."""
 # Between two spikes a pixel tells nothing of when its light came: what passes it within an interval looks as if it
 # stood still. Where a motion goes further between spikes than a pixel's diagonal (sensor pixels), the pixel is not
 # heard against it. Of `skimage.data.camera` at 0.3 px per frame a tenth contradicted the true velocity by day without

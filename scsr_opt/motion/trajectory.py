@@ -246,7 +246,7 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
     the key frame, and `visible` is 0.
     """
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
-    if not np.any(motion.velocity) and not np.any(motion.acceleration):
+    if motion.trust is None and not np.any(motion.velocity) and not np.any(motion.acceleration):
         moments = moments[:1]  # nothing moves: one moment serves all
     after = jnp.asarray(moments - np.float32(key))
     position, visible = seen_at(motion, after)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from scsr_opt.motion.alignment import Stretches, smooth
+from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest
 from scsr_opt.motion.trajectory import Motion, Trust, bilinear
 
 # The pictures are compared after this presmoothing (sensor pixels): coarse enough that aliasing between pixels does not
@@ -32,7 +33,7 @@ _GEOMETRIC = float(np.exp(-np.euler_gamma) / 2)
 def trusted(pictures: Stretches, motion: Motion) -> Motion:
     """`motion` with its `trust` measured on the recording's pictures."""
     after = np.asarray(pictures.after)
-    if after.size < 3 or not (motion.velocity.any() or motion.acceleration.any()):
+    if after.size < 3 or not (motion.velocity.any() or motion.acceleration.any() or _something_moves(pictures)):
         return motion
     # Pictures nearer to each other than a pixel's interval between spikes share their light and their error.
     interval = 1 / max(float(np.median(np.asarray(pictures.firing))), 1e-3) if pictures.firing is not None else 1.0
@@ -46,6 +47,11 @@ def trusted(pictures: Stretches, motion: Motion) -> Motion:
     )
     trust = Trust(after, np.asarray(share))
     return Motion(motion.velocity, motion.acceleration, motion.confidence, motion.layers, trust)
+
+
+def _something_moves(pictures: Stretches) -> bool:
+    """Does the recording contradict that nothing moves?"""
+    return bool(at_rest(pictures)[0].mean() > TOLERATED_AT_REST)
 
 
 @jax.jit

@@ -247,7 +247,8 @@ def _find_key(path: Path, key: str | None, found: list[str], usual: tuple[str, .
             return name
     raise InputError(
         f"{path} holds no array {' or '.join(repr(name) for name in usual)}, but "
-        f"{', '.join(found) or 'nothing at all'}: pass the name of the spikes as key."
+        f"{', '.join(found) or 'nothing at all'}: say which of them are the spikes, "
+        f"by key, on the command line by --array."
     )
 
 
@@ -308,4 +309,6 @@ def _scalar(value: np.ndarray) -> Any:
 
 
 def _damaged(path: Path, kind: str, error: Exception) -> InputError:
-    return InputError(f"{path} is no readable {kind} ({error}): it may be damaged or something else; get it anew.")
+    # NumPy takes what it does not know for its pickles, and says how to open them.
+    why = "" if "pickle" in str(error) else f" ({error})"
+    return InputError(f"{path} is no readable {kind}{why}: it may be damaged or something else; get it anew.")

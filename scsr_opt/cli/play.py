@@ -18,6 +18,7 @@ Method = Literal["tfp", "tfi", "stp"]
 _CONTEXT = 1001
 # Pictures of a film, about, where nothing else is said.
 _PICTURES = 100
+_RATE = 25.0
 
 
 def play(
@@ -48,7 +49,7 @@ def play(
         Whole | None,
         Parameter(help="Frames from one picture of a film to the next. Default: about 100 pictures in all."),
     ] = None,
-    rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = 25.0,
+    rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = _RATE,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
     reading: Reading | None = None,
@@ -69,6 +70,11 @@ def play(
             raise InputError(f"--key and --bits are for pictures, but {target} is a film: leave them out.")
     else:
         PictureFormat.of(target, bits=bits, gamma=gamma)
+        if start or stop is not None or step is not None or rate != _RATE:
+            raise InputError(
+                f"--start, --stop, --step and --rate are for films, but {target} is a picture: give --key for the "
+                f"frame to show, or a name that ends in {' or '.join(FILM_ENDINGS)}."
+            )
     check_outputs([file], output=target)
     recording = (reading or Reading()).open(file)
     player = _Player(recording, method, window)

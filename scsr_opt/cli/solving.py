@@ -277,6 +277,8 @@ def load_npy(option: str, path: str) -> "np.ndarray":
 
     try:
         return np.load(path, allow_pickle=False)
+    except FileNotFoundError as error:
+        raise InputError(f"There is no file {path} for --{option}: check the path.") from error
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"--{option} {path} cannot be read as a .npy file.") from error
 

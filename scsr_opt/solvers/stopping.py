@@ -58,7 +58,12 @@ class Stopping(eqx.Module):
 
 
 class FixedPoint(Stopping):
-    """The relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step. For every prior."""
+    """The relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step. For every prior.
+
+    It takes G as it is computed. Where λ is so large that the picture becomes flat, a thousand times what the recording
+    asks for, the few dual steps of an `Analysis` prior's proximal step hardly move the picture though it is far from
+    flat, and `FISTA` ends too early (0.3 % above the minimum at λ = 1, 13 % at 10, Huber-TV): take `DualityGap` there.
+    """
 
     def check(self, prior: Prior) -> None:
         """Serves every prior."""

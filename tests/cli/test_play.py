@@ -49,6 +49,8 @@ def test_play_a_film(scsr, file):
         (["--bits", "12"], "12 bits per pixel cannot be stored in .png"),
         (["--gamma", "0"], "gamma is 0"),
         (["-o", "a.gif", "--key", "3"], "--key and --bits are for pictures, but a.gif is a film"),
+        (["-o", "a.png", "--start", "3"], "--start, --stop, --step and --rate are for films, but a.png is a picture"),
+        (["-o", "a.png", "--rate", "5"], "--start, --stop, --step and --rate are for films"),
         (["-o", "a.gif", "--start", "20", "--stop", "10"], "A film from frame 20 to 10"),
         (["-o", "a.gif", "--stop", "32"], "choose 0 <= --start < --stop <= 31"),
         (["-o", "a.gif", "--step", "0"], "--step is 0"),

@@ -57,6 +57,17 @@ def test_phase_correlation_holds_in_dim_light_and_starts_the_affine_fit_there():
         assert np.abs(velocity - np.array([0.18, -0.24])[:, None, None]).max() < bound
 
 
+@pytest.mark.parametrize(("sensor", "bound"), [(Sensor(photons=1000.0), 1e-3), (Sensor(0.1, 25.0), 0.02)])
+@pytest.mark.parametrize("key", [0, 100])
+def test_a_key_frame_at_an_end(key, sensor, bound):
+    """Before a pixel's first spike and after its last one its light is that of other times, and stands still. Where
+    these frames took part because the key frame is among them, the velocity was wrong by 0.006 and 0.07 to 0.11."""
+    scene = Translation(data.camera()[50:250, 50:250] / 255, (0.1, 0.22), key=key)
+    spikes = simulate(scene, scale=2, sensor=sensor, seed=0).spikes
+    found = estimate_motion(spikes, key=key, white_rate=sensor.white_rate, estimator=Global()).velocity
+    assert np.abs(found - np.array([0.05, 0.11])[:, None, None]).max() < bound
+
+
 def test_one_motion_is_found_in_dim_light():
     """Where a pixel fires once in several pixels of motion, it cannot contradict that motion."""
     scene = Translation(data.camera()[88:248, 176:336] / 255, (0.14, -0.24), key=50)

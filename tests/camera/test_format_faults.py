@@ -74,9 +74,9 @@ MISTAKES = {
     "key elsewhere": (lambda f: read_recording(_npy(f / "r.npy", SPIKES), key="spk"), r"one array without a name"),
     "key missing in npz": (
         lambda f: read_recording(_npz(f / "r.npz", video=SPIKES, label=1)),
-        r"no array 'spikes' or 'spk' or 'raw_spike' or 'arr_0', but video, label: pass the name",
+        r"no array 'spikes' or 'spk' or 'raw_spike' or 'arr_0', but video, label: say which",
     ),
-    "wrong key": (lambda f: read_recording(_npz(f / "r.npz", a=SPIKES), key="b"), r"no array 'b', but a: pass"),
+    "wrong key": (lambda f: read_recording(_npz(f / "r.npz", a=SPIKES), key="b"), r"no array 'b', but a: say which"),
     "key missing in h5": (lambda f: read_recording(_h5(f / "r.h5", dsft=SPIKES)), r"no array 'raw_spike', but dsft"),
     "nothing in h5": (lambda f: read_recording(_h5(f / "r.h5")), r"no array 'raw_spike', but nothing at all"),
     "dimensions": (lambda f: read_recording(_npy(f / "r.npy", SPIKES[0])), r"r\.npy has 2 dimensions \(5, 7\)"),

@@ -75,7 +75,11 @@ def relative_strength(prior: Prior) -> float:
 
 def noise_of_mean(stream: Stream) -> float:
     """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
-    a sample of the pixels."""
+    a sample of the pixels.
+
+    Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
+    chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
+    """
     few = stream.spikes[:, ::2, ::2]
     bad = None if stream.bad_pixels is None else stream.bad_pixels[::2, ::2]
     samples = spike_intervals(few, white_rate=stream.white_rate, bad_pixels=bad, ends=0)
@@ -88,7 +92,11 @@ def noise_of_mean(stream: Stream) -> float:
     else:
         noise = 0.0
     noise = max(noise, 1e-3)  # spikes are counted in whole frames: never free of it
-    return (noise / len(stream.spikes)) ** 0.5
+    frames = len(stream.spikes)
+    fired = np.count_nonzero(few, axis=0)[... if bad is None else ~bad]
+    if fired.size and np.median(fired) < 2:
+        noise = max(noise, 1 / (6 * stream.white_rate**2 * frames))
+    return (noise / frames) ** 0.5
 
 
 class Validated(NamedTuple):

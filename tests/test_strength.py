@@ -165,6 +165,19 @@ def test_what_was_measured_serves_again_where_nothing_is_merged():
     assert again == anew
 
 
+@pytest.mark.parametrize("frames", [10, 20])
+def test_pixels_that_hardly_fire_ask_for_a_strong_prior(frames):
+    """Most pixels fire less than twice. Measured: 19.1 and 22.3 dB, 13.6 and 18.7 of playback with a classical
+    super-resolution; 11.9 and 15.3 where no noise was known but that between intervals."""
+    scene = Translation(data.camera()[150:278, 150:278] / 255, (0.1, 0.22), key=frames // 2)
+    made = simulate(scene, scale=2, frames=frames, sensor=Sensor(white_rate=0.1, photons=50.0))
+    assert np.median(made.spikes.sum(0)) < 2
+    options = {"scale": 2, "key": frames // 2, "white_rate": 0.1}
+    truth = made.truth(float(frames // 2))
+    image = reconstruct(made.spikes, **options).image
+    assert psnr(truth, image, 8) > psnr(truth, tfp_sr(made.spikes, **options).image, 8) + 2
+
+
 def test_too_few_samples_leave_the_strength_of_the_noise():
     stream = Stream(np.ones((9, 3, 3), np.uint8), 4, 0.6, None)
     assert validated(stream) == strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())

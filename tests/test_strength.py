@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from skimage import data
 
+from scsr_opt import reconstruct
+from scsr_opt.baselines import tfp_sr
 from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
 from scsr_opt.camera.scenes import Static, Translation
+from scsr_opt.demo import psnr
 from scsr_opt.motion import Motion
 from scsr_opt.motion.handed_in import given
 from scsr_opt.placing import Stream, first_picture, measured
@@ -175,7 +178,7 @@ def test_pixels_that_hardly_fire_ask_for_a_strong_prior(frames):
     options = {"scale": 2, "key": frames // 2, "white_rate": 0.1}
     truth = made.truth(float(frames // 2))
     image = reconstruct(made.spikes, **options).image
-    assert psnr(truth, image, 8) > psnr(truth, tfp_sr(made.spikes, **options).image, 8) + 2
+    assert psnr(truth, image, 8) > psnr(truth, tfp_sr(made.spikes, **options), 8) + 2
 
 
 def test_too_few_samples_leave_the_strength_of_the_noise():

@@ -16,9 +16,8 @@ Method = Literal["tfp", "tfi", "stp"]
 
 # Playback from intervals looks back to the last spikes of a pixel: enough frames for pixels that fire 5 times in 1000.
 _CONTEXT = 1001
-# Pictures of a film, about, where nothing else is said.
-_PICTURES = 100
-_RATE = 25.0
+# Pictures of a film, about, and how many are shown a second, where nothing else is said.
+_PICTURES, _RATE = 100, 25.0
 
 
 def play(

@@ -8,6 +8,7 @@ recordings with and without a fixed pattern: where a texture could be a pattern 
 """
 
 import functools
+import math
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,10 @@ _PATTERN, _PLAINEST, _SQUARE, _FEWEST = 0.01, 0.1, 8, 25
 # Squares darker than this are passed over, as what hardly fires shows no gain, and those of more relative noise, in
 # which a gain would be noise. So large a share of all has to be left.
 _LIT, _NOISY, _ENOUGH = 0.05, 0.04, 0.1
+# A look at this many by this many windows, of so many squares a side, tells at a fraction of the work that a large
+# sensor has no pattern: where so large a share of them is plain. Without a pattern it is 0.36 to 1 on nine of
+# scikit-image's pictures and three real recordings, with 2 % 0.15 to 0.9, with 5 % 0 to 0.24.
+_WINDOWS, _ACROSS, _PLAIN = (2, 3), 5, 0.35
 # Trained on pictures up to white: where this share of the pixels is brighter, the white rate is taken for wrong.
 _WHITE = 0.01
 
@@ -152,14 +157,59 @@ def gain_at_rest(
     rate, noise = rates_at_rest(spikes, white_rate=white_rate, bad_pixels=bad)
     rate = rate / max(float(np.quantile(rate, 1 - _WHITE)), 1.0)
     network = GainNetwork.load() if network is None else network
-    found = np.asarray(_found(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
-    found = np.where(np.zeros_like(found, bool) if bad is None else bad, 0, np.clip(found, -_FARTHEST, _FARTHEST))
-    squares, light, noise = (_in_squares(of) for of in (found, rate, noise))
-    spread = squares.std(1)[(light.mean(1) > _LIT) & (noise.mean(1) < _NOISY)]
-    enough = spread.size >= max(_FEWEST, _ENOUGH * len(squares))
+    bad = np.zeros(rate.shape, bool) if bad is None else bad
+    if _is_plain(network, rate, noise, bad):
+        return np.ones_like(rate)
+    found = _logarithm(network, rate, noise, bad)
+    spread = _spreads(found, rate, noise)
+    enough = spread.size >= max(_FEWEST, _ENOUGH * (rate.size // _SQUARE**2))
     if not enough or np.quantile(spread, _PLAINEST) < _PATTERN:
         return np.ones_like(rate)
     return np.exp(found).astype(np.float32)
+
+
+def _is_plain(
+    network: GainNetwork,
+    rate: Float[np.ndarray, "h w"],
+    noise: Float[np.ndarray, "h w"],
+    bad: Bool[np.ndarray, "h w"],
+) -> bool:
+    """Whether windows of a sensor that is much larger than they are show that there is no pattern."""
+    reach = len(network.layers)  # a convolution of 3×3 each: so far from its border a window is as the whole sensor
+    side = _ACROSS * _SQUARE + 2 * reach
+    if 2 * math.prod(_WINDOWS) * side**2 > rate.size or min(rate.shape) < side:
+        return False
+    down, across = (np.linspace(0, n - side, k).astype(int) for n, k in zip(rate.shape, _WINDOWS, strict=True))
+
+    def inner(of: Float[np.ndarray, "side side"]) -> Float[np.ndarray, "inner inner"]:
+        return of[reach:-reach, reach:-reach]
+
+    spread = []
+    for top in down:
+        for left in across:
+            seen = [of[top : top + side, left : left + side] for of in (rate, noise, bad)]
+            spread.append(_spreads(*(inner(of) for of in (_logarithm(network, *seen), *seen[:2]))))
+    spread = np.concatenate(spread)
+    return spread.size >= _FEWEST and float(np.mean(spread < _PATTERN)) > _PLAIN
+
+
+def _logarithm(
+    network: GainNetwork,
+    rate: Float[np.ndarray, "h w"],
+    noise: Float[np.ndarray, "h w"],
+    bad: Bool[np.ndarray, "h w"],
+) -> Float[np.ndarray, "h w"]:
+    """ln g, 0 where a pixel is bad."""
+    found = np.asarray(_found(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
+    return np.where(bad, 0, np.clip(found, -_FARTHEST, _FARTHEST))
+
+
+def _spreads(
+    found: Float[np.ndarray, "h w"], rate: Float[np.ndarray, "h w"], noise: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, " n"]:
+    """Standard deviation of ln g in each square that can show gains."""
+    squares, light, noise = (_in_squares(of) for of in (found, rate, noise))
+    return squares.std(1)[(light.mean(1) > _LIT) & (noise.mean(1) < _NOISY)]
 
 
 def _in_squares(of: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from skimage import data
 
+from scsr_opt.camera import gain_network
 from scsr_opt.camera.gain_network import GainNetwork, gain_at_rest, rates_at_rest
 from scsr_opt.camera.scenes import Static
 from scsr_opt.camera.simulator import Sensor, Simulation, simulate
@@ -90,6 +91,26 @@ def test_a_white_rate_that_is_too_low_makes_no_pattern(picture):
     made = simulate(Static(picture[:160, :160] / 255), scale=2, sensor=Sensor(photons=1000.0), seed=1)
     for white_rate in (0.06, 0.15, 0.3):
         assert (gain_at_rest(made.spikes, white_rate=white_rate) == 1).all()
+
+
+@pytest.mark.parametrize("spread", [0.0, PATTERN])
+def test_windows_of_a_large_sensor_tell_that_there_is_no_pattern(spread, monkeypatch):
+    """All of it is looked at only where they do not."""
+    picture = np.pad(data.camera() / 255, ((0, 48), (0, 48)), mode="symmetric")[::2, ::2]
+    made = simulate(Static(picture), scale=1, frames=61, sensor=Sensor(fixed_pattern=spread), seed=3)
+    looked_at, looks = [], gain_network._found
+
+    def counted(network, rate, noise):
+        looked_at.append(rate.shape)
+        return looks(network, rate, noise)
+
+    monkeypatch.setattr(gain_network, "_found", counted)
+    found = gain_at_rest(made.spikes, white_rate=0.6)
+    assert looked_at == [(56, 56)] * 6 + [picture.shape] * bool(spread)
+    if not spread:
+        assert (found == 1).all()
+    else:
+        assert (found / made.gain).std() < 0.9 * made.gain.std()
 
 
 def test_a_bad_pixel_is_left_out_whatever_it_does():

@@ -15,7 +15,7 @@ from scsr_opt.motion.dense import accelerated, dense
 from scsr_opt.motion.estimator import Estimator
 from scsr_opt.motion.evidence import TOLERATED_AT_REST, Missed, at_rest, contradicted, heard, missed, typical_noise
 from scsr_opt.motion.layers import layered
-from scsr_opt.motion.parametric import parametric
+from scsr_opt.motion.parametric import moves_as_one, parametric
 from scsr_opt.motion.phase import PhaseCorrelation
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.trust import trusted
@@ -26,8 +26,9 @@ _TOLERATED_GLOBAL = 0.01
 # all. Slow pans, by half a sensor pixel to one and a half over the recording, had up to 0.03 by mistake; scenes with an
 # object before a background have 0.16 and more.
 _RESTING = 0.05
-# The share of the pixels that has to be heard for silence to count as agreement.
-_HEARD = 0.5
+# The share of the pixels that has to be heard for silence to count as agreement, and that of pixels that contradict
+# rest, if hardly any that is heard contradicts the motion.
+_HEARD, _HEARD_MOVING = 0.5, 0.1
 # What must be left of what contradicted the background, at most, for anything richer to be believed.
 _HELPS = 0.8
 # What it must miss of the pictures around there, beside what the background misses: more numbers always fit a little
@@ -94,7 +95,7 @@ class Automatic(Estimator):
     def __call__(self, pictures: Stretches) -> Motion:
         still = Motion.none(*pictures.picture.shape[1:])
         moving, resting = at_rest(pictures)
-        rests = bool(moving.mean() <= TOLERATED_AT_REST)
+        rests = bool(moving.mean() <= TOLERATED_AT_REST) and not moves_as_one(pictures)
         if self.skip and rests:
             return still
         several = _takes_several(resting, moving)
@@ -102,7 +103,7 @@ class Automatic(Estimator):
             whole, left = still, moving
         else:
             whole, left = together(pictures)
-        possible = not several and _predicts(pictures, whole)
+        possible = not several and _is_heard(pictures, whole, left, moving)
         serves = possible and bool(left.mean() <= _TOLERATED_GLOBAL)
         if self.skip and serves:
             return whole
@@ -112,10 +113,19 @@ class Automatic(Estimator):
         return still if rests else whole if serves else richer
 
 
-def _predicts(pictures: Stretches, whole: Motion) -> bool:
-    """Where most pixels fire too seldom to contradict a motion of the whole scene, does it predict the recording better
-    than rest? (Of a dim clip a fit was wrong by two pixels per frame, at which hardly any pixel was heard.)"""
-    if heard(pictures, whole).mean() >= _HEARD:
+def _is_heard(
+    pictures: Stretches, whole: Motion, left: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]
+) -> bool:
+    """Where most pixels fire too seldom to contradict a motion of the whole scene, do those that can agree with it and
+    not with rest, or does it predict the recording better than rest? (Of a dim clip a fit was wrong by two pixels per
+    frame, at which hardly any pixel was heard.)
+
+    `left`, `moving`: the pixels that contradict it, and rest.
+    """
+    here = heard(pictures, whole)
+    if here.mean() >= _HEARD:
+        return True
+    if (here & moving).mean() >= _HEARD_MOVING and left[here].mean() <= _TOLERATED_GLOBAL:
         return True
     noise = typical_noise(pictures, whole)
     still = Motion.none(*pictures.picture.shape[1:])

@@ -68,8 +68,8 @@ def parametric(
     """One velocity (and acceleration) for the whole scene, or one that varies linearly or as a tilting plane's.
 
     Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
-    occlusion) and where the scene moves by a pixel or more from spike to spike (what passes meanwhile looks as if it
-    stood still), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
+    occlusion) and where the scene moves by a pixel or more from spike to spike or fires only a few times (what passes
+    from spike to spike looks as if it stood still), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
     perspective motion, twice that with the acceleration that is fitted last; each of these only where the recording
     asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity: its mean, or where
     it varies the affine one nearest to it, whose numbers are then all fitted. With `where`, only these pixels of the
@@ -130,6 +130,9 @@ def parametric(
 
 # Sensor pixels over which the rate of firing is averaged, and the least one that is told from none.
 _AROUND, _SELDOM = 2.0, 1e-3
+# Intervals between spikes that a fit's pictures have to span for a point to count half. With few of them, several
+# pictures show the same interval.
+_INTERVALS = 6.0
 
 
 class _Points(NamedTuple):
@@ -174,6 +177,24 @@ def _points(
         around = gaussian_filter(np.asarray(firing), _AROUND, mode="nearest")[row, column]
         interval = 1 / np.maximum(around, _SELDOM)
     return _Points(position, generators(position, height, width), block_of.astype(np.int32), region, interval)
+
+
+def moves_as_one(pictures: Stretches) -> bool:
+    """Does the recording ask for an affine motion of the whole scene in place of rest?
+
+    A score test (`_asked_for`) without a fit. All pixels speak together, so that it hears what is far too slow for any
+    of them alone to contradict rest: a pan by 0.15 sensor pixels over 101 frames by day.
+    """
+    _, height, width = pictures.picture.shape
+    after, none = np.asarray(pictures.after), np.zeros((2, _GENERATORS), bool)
+    if after.size < 2:  # one picture shows no motion
+        return False
+    _, votes = _fit(
+        pictures.presmoothed(_SCHEDULE[-1][1]).picture, pictures.after, jnp.asarray((0, after.size)),
+        _points(height, width, None, pictures.firing), jnp.zeros(none.shape, jnp.float32), jnp.asarray(none),
+        jnp.asarray(0), jnp.asarray(0, jnp.float32), jnp.asarray(0.5, jnp.float32),
+    )  # fmt: skip
+    return _asked_for(votes, none, (0, slice(_SHIFTS.start, _LINEAR.stop)))
 
 
 class _Votes(NamedTuple):
@@ -231,6 +252,7 @@ def _fit(
     Which pictures and numbers take part is data, so that one compilation serves for all.
     """
     longest = jnp.maximum(jnp.max(jnp.abs(after[jnp.stack([interval[0], interval[1] - 1])])), 1)
+    span = after[interval[1] - 1] - after[interval[0]]
     on = active.reshape(-1)
     key_picture = pictures[jnp.argmin(jnp.abs(after))]
     about = bilinear(key_picture[None], *jnp.asarray(points.position))[0]
@@ -259,6 +281,8 @@ def _fit(
         trust = points.region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
         # What passes within an interval looks as if it stood still.
         trust = trust / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
+        # What fires seldom changes seldom, as if it stood still, however slowly it moves.
+        trust = trust / (1 + (_INTERVALS * points.interval / jnp.maximum(span, 1)) ** 4)
         regressors = ((slopes / seen[None])[None] * points.fields).sum(1)
         weights = spread * trust[None, None]
         matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]

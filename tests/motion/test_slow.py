@@ -1,0 +1,54 @@
+"""Motion that no pixel alone shows: slow pans, and recordings of a few spikes a pixel."""
+
+import numpy as np
+import pytest
+from skimage import data
+
+from scsr_opt.camera.scenes import Static, Translation
+from scsr_opt.camera.simulator import Sensor, simulate
+from scsr_opt.motion import Automatic, estimate_motion
+from scsr_opt.motion.alignment import Stretches, stretches
+from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest
+from scsr_opt.motion.parametric import moves_as_one
+
+SCALE = 2
+PHOTONS = {0.6: 1000.0, 0.1: 25.0}
+
+
+def seen(speed: float, frames: int, white_rate: float = 0.6) -> tuple[np.ndarray, Stretches]:
+    """Spikes of a pan of so many sensor pixels per frame, or of what rests, and their short pictures."""
+    picture = data.camera()[100:300, 100:300] / 255
+    scene = Translation(picture, (0.6 * SCALE * speed, -0.8 * SCALE * speed)) if speed else Static(picture)
+    sensor = Sensor(white_rate, PHOTONS[white_rate])
+    spikes = simulate(scene, scale=SCALE, frames=frames, sensor=sensor, seed=1).spikes
+    return spikes, stretches(spikes, key=frames // 2, white_rate=white_rate)
+
+
+@pytest.mark.parametrize(("speed", "frames", "near"), [(0.025, 40, 0.15), (0.003, 101, 0.15)])
+def test_a_pan_that_no_pixel_contradicts_rest_by_is_found(speed, frames, near):
+    spikes, pictures = seen(speed, frames)
+    assert moves_as_one(pictures) and at_rest(pictures)[0].mean() <= 3 * TOLERATED_AT_REST
+    found = estimate_motion(spikes, key=frames // 2).velocity
+    away = np.hypot(*(found - speed * np.array([0.6, -0.8])[:, None, None])).mean()
+    print(f"{frames} frames: wrong by {away / speed:.3f} of the speed")
+    assert away < near * speed
+
+
+@pytest.mark.parametrize(("frames", "white_rate"), [(2, 0.6), (10, 0.6), (40, 0.6), (101, 0.6), (101, 0.1)])
+def test_a_scene_at_rest_does_not_move_as_one(frames, white_rate):
+    _, pictures = seen(0.0, frames, white_rate)
+    assert not moves_as_one(pictures)
+    if white_rate > 0.1:  # in dim light single pixels contradict anything
+        assert not Automatic()(pictures).velocity.any()
+
+
+@pytest.mark.parametrize(("frames", "speed", "white_rate"), [(20, 0.2, 0.6), (20, 0.1, 0.6)])
+def test_what_fires_a_few_times_only_is_not_certainly_at_rest(frames, speed, white_rate):
+    """Most of its pictures show the same interval. The pan was taken for rest, or for several motions."""
+    spikes, pictures = seen(speed, frames, white_rate)
+    assert at_rest(pictures)[1].mean() < 0.05
+    found = estimate_motion(spikes, key=frames // 2, white_rate=white_rate)
+    assert found.layers is None and np.ptp(found.velocity, axis=(1, 2)).max() < 0.1 * speed
+    away = np.hypot(*(found.velocity - speed * np.array([0.6, -0.8])[:, None, None])).mean()
+    print(f"{frames} frames, white {white_rate}: wrong by {away / speed:.3f} of the speed")
+    assert away < 0.3 * speed

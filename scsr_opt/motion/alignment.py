@@ -26,12 +26,14 @@ class Stretches:
     """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame.
 
     `firing` (h, w), if known: spikes per frame, mean over the recording. No picture shows changes that are faster than
-    a pixel fires.
+    a pixel fires. `counted` (n, h, w), if known: spikes per frame in each stretch. They are noisier than the pictures,
+    whose intervals reach beyond a stretch, but what one stretch counts no other does.
     """
 
     picture: Float[Array, "n h w"]
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
+    counted: Float[Array, "n h w"] | None = None
     _presmoothed: dict[float, "Stretches"] = field(default_factory=dict, init=False, repr=False)
 
     def presmoothed(self, sigma: float | int) -> "Stretches":
@@ -46,7 +48,8 @@ class Stretches:
     def part(self, rows: slice, columns: slice) -> "Stretches":
         """The pictures of a part of the sensor."""
         firing = None if self.firing is None else self.firing[rows, columns]
-        return Stretches(self.picture[:, rows, columns], self.after, firing)
+        counted = None if self.counted is None else self.counted[:, rows, columns]
+        return Stretches(self.picture[:, rows, columns], self.after, firing, counted)
 
 
 def stretches(
@@ -67,7 +70,17 @@ def stretches(
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
     firing = np.count_nonzero(spikes, axis=0).astype(np.float32) / np.float32(frames)
-    return Stretches(jnp.asarray(rates), jnp.asarray(middle, jnp.float32), jnp.asarray(firing))
+    counted = _counted(spikes, edges)
+    return Stretches(*(jnp.asarray(each, jnp.float32) for each in (rates, middle, firing, counted)))
+
+
+def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, "n h w"]:
+    """Spikes per frame between whole frames near the edges."""
+    whole = np.rint(edges).astype(int)
+    whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
+    fired = spikes[: whole[-1]].astype(bool, copy=False).view(np.uint8)
+    counts = np.add.reduceat(fired, whole[:-1], axis=0, dtype=np.uint16)
+    return counts / np.diff(whole).astype(np.float32)[:, None, None]
 
 
 # The share of the pixels that must have fired at the first moment that is used, and must still fire at the last one.

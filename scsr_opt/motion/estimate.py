@@ -1,6 +1,5 @@
 """Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
-from dataclasses import replace
 from typing import cast
 
 import jax.numpy as jnp
@@ -13,7 +12,16 @@ from scipy.spatial import ConvexHull, QhullError
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.dense import accelerated, dense
 from scsr_opt.motion.estimator import Estimator
-from scsr_opt.motion.evidence import TOLERATED_AT_REST, Missed, at_rest, contradicted, heard, missed, typical_noise
+from scsr_opt.motion.evidence import (
+    TOLERATED_AT_REST,
+    Missed,
+    at_rest,
+    contradicted,
+    counts_agree,
+    heard,
+    missed,
+    typical_noise,
+)
 from scsr_opt.motion.layers import layered
 from scsr_opt.motion.parametric import moves_as_one, parametric
 from scsr_opt.motion.phase import PhaseCorrelation
@@ -26,9 +34,8 @@ _TOLERATED_GLOBAL = 0.01
 # all. Slow pans, by half a sensor pixel to one and a half over the recording, had up to 0.03 by mistake; scenes with an
 # object before a background have 0.16 and more.
 _RESTING = 0.05
-# The share of the pixels that has to be heard for silence to count as agreement, and that of pixels that contradict
-# rest, if hardly any that is heard contradicts the motion.
-_HEARD, _HEARD_MOVING = 0.5, 0.1
+# The share of the pixels that has to be heard for silence to count as agreement.
+_HEARD = 0.5
 # What must be left of what contradicted the background, at most, for anything richer to be believed.
 _HELPS = 0.8
 # What it must miss of the pictures around there, beside what the background misses: more numbers always fit a little
@@ -103,7 +110,10 @@ class Automatic(Estimator):
             whole, left = still, moving
         else:
             whole, left = together(pictures)
-        possible = not several and _is_heard(pictures, whole, left, moving)
+        # Where most pixels fire too seldom to contradict a motion, their silence says nothing. (Of a dim clip a fit was
+        # wrong by two pixels per frame, at which hardly any was heard.)
+        silent = heard(pictures, whole).mean() < _HEARD
+        possible = not several and (not silent or counts_agree(pictures, whole))
         serves = possible and bool(left.mean() <= _TOLERATED_GLOBAL)
         if self.skip and serves:
             return whole
@@ -111,25 +121,6 @@ class Automatic(Estimator):
         background, unexplained = (whole, left) if of_whole else (still, moving)
         richer = _apart(pictures, background, unexplained, self.skip)
         return still if rests else whole if serves else richer
-
-
-def _is_heard(
-    pictures: Stretches, whole: Motion, left: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]
-) -> bool:
-    """Where most pixels fire too seldom to contradict a motion of the whole scene, do those that can agree with it and
-    not with rest, or does it predict the recording better than rest? (Of a dim clip a fit was wrong by two pixels per
-    frame, at which hardly any pixel was heard.)
-
-    `left`, `moving`: the pixels that contradict it, and rest.
-    """
-    here = heard(pictures, whole)
-    if here.mean() >= _HEARD:
-        return True
-    if (here & moving).mean() >= _HEARD_MOVING and left[here].mean() <= _TOLERATED_GLOBAL:
-        return True
-    noise = typical_noise(pictures, whole)
-    still = Motion.none(*pictures.picture.shape[1:])
-    return missed(pictures, whole, noise).mean < missed(pictures, still, noise).mean
 
 
 def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:
@@ -229,10 +220,13 @@ def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, Bool[
 
 
 def _left(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
-    """The pixels that contradict a motion of the whole scene; all, if it carries most out of view."""
+    """The pixels that contradict a motion of the whole scene; all, if it carries most out of view, where nothing can
+    contradict it, and what is left does not speak for it."""
     longest = float(jnp.max(jnp.abs(pictures.after)))
     leaves = np.abs(np.median(motion.velocity, axis=(1, 2))) * longest > 0.5 * np.array(pictures.picture.shape[1:])
-    return np.ones(motion.speed.shape, bool) if leaves.any() else contradicted(pictures, motion)
+    if leaves.any() and not counts_agree(pictures, motion):
+        return np.ones(motion.speed.shape, bool)
+    return contradicted(pictures, motion)
 
 
 def estimate_motion(
@@ -270,13 +264,16 @@ def comparable(
     frames, height, width = spikes.shape
     if frames < 3 or min(height, width) < 2:
         return None
-    pictures = stretches(spikes, key=key, white_rate=white_rate)
+    found = stretches(spikes, key=key, white_rate=white_rate)
+    picture, firing, counted = found.picture, found.firing, found.counted
+    assert firing is not None and counted is not None  # by `stretches`
     if gain is not None:
-        pictures = replace(pictures, picture=pictures.picture / jnp.asarray(gain, jnp.float32)[None])
+        over = jnp.asarray(gain, jnp.float32)[None]
+        picture, counted = picture / over, counted / over
     if bad_pixels is not None and bad_pixels.any():
-        firing = None if pictures.firing is None else filled(pictures.firing[None], ~bad_pixels)[0]
-        pictures = replace(pictures, picture=filled(pictures.picture, ~bad_pixels), firing=firing)
-    return pictures
+        good = ~bad_pixels
+        picture, firing, counted = filled(picture, good), filled(firing[None], good)[0], filled(counted, good)
+    return Stretches(picture, found.after, firing, counted)
 
 
 def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:

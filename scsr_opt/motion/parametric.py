@@ -69,12 +69,13 @@ def parametric(
 
     Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
     occlusion) and where the scene moves by a pixel or more from spike to spike or fires only a few times (what passes
-    from spike to spike looks as if it stood still), by Gauss–Newton from near times to far ones. 2 numbers for a translation, 6 for affine motion, 8 for
-    perspective motion, twice that with the acceleration that is fitted last; each of these only where the recording
-    asks for it, and no more than `affine` and `perspective` allow. `start` gives a first velocity: its mean, or where
-    it varies the affine one nearest to it, whose numbers are then all fitted. With `where`, only these pixels of the
-    key frame are looked at, and perspective, for which a region is too small, is left out; the motion is still given
-    everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to all moments once more.
+    from spike to spike looks as if it stood still), by Gauss–Newton from near times to far ones. 2 numbers for a
+    translation, 6 for affine motion, 8 for perspective motion, twice that with the acceleration that is fitted last;
+    each of these only where the recording asks for it, and no more than `affine` and `perspective` allow. `start` gives
+    a first velocity: its mean, or where it varies the affine one nearest to it, whose numbers are then all fitted. With
+    `where`, only these pixels of the key frame are looked at, and perspective, for which a region is too small, is left
+    out; the motion is still given everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to
+    all moments once more.
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where, pictures.firing)

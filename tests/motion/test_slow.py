@@ -1,4 +1,4 @@
-"""Motion that no pixel alone shows: slow pans, and recordings of a few spikes a pixel."""
+"""Motion that no pixel alone shows: slow pans, recordings of a few spikes a pixel, pans that leave the view."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,9 @@ from skimage import data
 
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.camera.simulator import Sensor, simulate
-from scsr_opt.motion import Automatic, estimate_motion
+from scsr_opt.motion import Automatic, Motion, estimate_motion
 from scsr_opt.motion.alignment import Stretches, stretches
-from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest
+from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest, counts_agree
 from scsr_opt.motion.parametric import moves_as_one
 
 SCALE = 2
@@ -42,9 +42,12 @@ def test_a_scene_at_rest_does_not_move_as_one(frames, white_rate):
         assert not Automatic()(pictures).velocity.any()
 
 
-@pytest.mark.parametrize(("frames", "speed", "white_rate"), [(20, 0.2, 0.6), (20, 0.1, 0.6)])
-def test_what_fires_a_few_times_only_is_not_certainly_at_rest(frames, speed, white_rate):
-    """Most of its pictures show the same interval. The pan was taken for rest, or for several motions."""
+@pytest.mark.parametrize(
+    ("frames", "speed", "white_rate"), [(20, 0.2, 0.6), (20, 0.1, 0.6), (101, 0.14, 0.1), (101, 0.8, 0.6)]
+)
+def test_what_fires_seldom_for_its_motion_is_not_taken_for_rest(frames, speed, white_rate):
+    """Most of its pictures show the same interval. Pans were taken for rest, or for several motions; the last one
+    carries 80 of 100 pixels out of view."""
     spikes, pictures = seen(speed, frames, white_rate)
     assert at_rest(pictures)[1].mean() < 0.05
     found = estimate_motion(spikes, key=frames // 2, white_rate=white_rate)
@@ -52,3 +55,25 @@ def test_what_fires_a_few_times_only_is_not_certainly_at_rest(frames, speed, whi
     away = np.hypot(*(found.velocity - speed * np.array([0.6, -0.8])[:, None, None])).mean()
     print(f"{frames} frames, white {white_rate}: wrong by {away / speed:.3f} of the speed")
     assert away < 0.3 * speed
+
+
+@pytest.mark.parametrize(("speed", "white_rate"), [(0.14, 0.1), (0.4, 0.6)])
+def test_counts_tell_the_velocity_from_rest_and_from_what_is_far_too_fast(speed, white_rate):
+    _, pictures = seen(speed, 101, white_rate)
+
+    def agree(velocity: tuple[float, float]) -> bool:
+        return counts_agree(pictures, Motion.of_velocity(np.full((2, 100, 100), np.reshape(velocity, (2, 1, 1)))))
+
+    assert agree((0.6 * speed, -0.8 * speed))
+    assert not agree((0.0, 0.0)) and not agree((1.2, 1.6)) and not agree((-0.6 * speed, 0.8 * speed))
+    still = seen(0.0, 101, white_rate)[1]
+    assert not counts_agree(still, Motion.of_velocity(np.full((2, 100, 100), 0.1, np.float32)))
+
+
+@pytest.mark.parametrize("frames", [2, 7, 20, 101, 1000])
+def test_counts_are_those_of_each_stretch(frames):
+    spikes = np.random.default_rng(0).random((frames, 5, 6)) < 0.4
+    some = stretches(spikes.astype(np.uint8), key=frames // 2)
+    assert some.counted is not None and some.counted.shape == some.picture.shape
+    assert float(abs(some.counted.mean() - spikes.mean())) < 0.2
+    np.testing.assert_array_equal(stretches(np.ones_like(spikes), key=0).counted, 1)

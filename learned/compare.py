@@ -7,6 +7,7 @@ at each X^(t), so that all are measured by the same f.
 
 import math
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
@@ -57,7 +58,7 @@ def compare_stages(
 
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`, `gain`, `strength`: as of `reconstruct`; gains of 1 if none are given.
-    - `models`: names (`learned.models`), paths of `.scsr` files, or models.
+    - `models`: names (`learned.models`), paths of `.scsr` files, or models; each once.
     - `truth`: (s·h, s·w), the picture of the key frame, intensity, where it is known.
     - `costs`: whether seconds and FLOPs are measured, for which a network is compiled once for each of its stages.
     - `progress`: told of the models that are done.
@@ -66,10 +67,13 @@ def compare_stages(
     """
     here = moment(spikes, scale=scale, key=key, white_rate=white_rate)
     known = None if truth is None else _truth(here, truth)
-    found = [model(one, here.scale) if isinstance(one, str) else one for one in models]
-    chosen = list({one.name: one for one in found}.values())
+    chosen = [model(one, here.scale) if isinstance(one, str) else one for one in models]
     if not chosen:
         raise InputError("There is nothing to compare: name at least one model.")
+    number = Counter(one.name for one in chosen)
+    again = sorted(name for name, times in number.items() if times > 1)
+    if again:
+        raise InputError(f"Of the models to compare, {', '.join(again)} comes more than once: name each once.")
     for one in chosen:
         if isinstance(one, Network):
             one.check(here)

@@ -387,7 +387,7 @@ def train(
         θ, state, kept, score = step(θ, state, batches[place], rate)
         batches[place] = batches[place]._replace(picture=kept.picture, sensitivity=kept.sensitivity)
         if not np.isfinite(float(score)):
-            raise InputError(f"Training ran away after {number} steps; {out.name} is of no use. Train for less long.")
+            raise InputError(f"Training ran away after {number} steps; {out.name} is of no use: train for less long.")
         scores.append(float(score))
         number += 1
         if number % _BATCHES == 0:

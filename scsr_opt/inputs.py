@@ -42,9 +42,9 @@ def number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], li
     return found
 
 
-def prior_strength(strength: SupportsFloat) -> float:
+def prior_strength(strength: SupportsFloat, name: str = "strength") -> float:
     """λ as a float. **Raises:** `InputError` if it is not a number from 0 to 1e18, the most that float32 works with."""
-    return number(strength, "strength", lambda v: 0 <= v <= _STRONGEST, f"from 0 to {_STRONGEST:g}")
+    return number(strength, name, lambda v: 0 <= v <= _STRONGEST, f"from 0 to {_STRONGEST:g}")
 
 
 def check_type(value: object, kind: type, name: str, example: str) -> None:

@@ -13,10 +13,10 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt.camera.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
-from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.recording import Recording, checked_white_rate
 from scsr_opt.camera.samples import Samples
 from scsr_opt.cutting import cut_to_seen
-from scsr_opt.inputs import bad_pixels_of, number, whole
+from scsr_opt.inputs import bad_pixels_of, whole
 from scsr_opt.motion.estimate import filled
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.robust import Loss, robust_factors
@@ -79,8 +79,7 @@ def stream_around(
     """
     key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
     start, stop = recording.around(key, whole(frames, "frames", 1))
-    rate = recording.white_rate if white_rate is None else white_rate
-    rate = number(rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
+    rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
     bad = bad_pixels_of(recording, bad_pixels)
     stream = Stream(recording.window(start, stop), key - start, rate, bad)
     if bad is not None:

@@ -14,6 +14,7 @@ from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
 from scsr_opt.camera.gain_network import gain_at_rest
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.saturation import share_saturated, spike_counts
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
@@ -102,7 +103,8 @@ def reconstruct(
       solver and prior at the same size: where to start.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.
 
-    **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity 1 = white.
+    **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity 1 = white. `.stats["saturated"]` is the share of
+    the pixels that fired in 90 % of the frames or more: where they lie the picture is a lower bound.
 
     **Raises:** `InputError` if something handed in cannot be used. A solve that fails is not raised, but said by
     `Solution.result`.
@@ -249,6 +251,7 @@ def reconstruct(
         "strength": float(rounds.strength),
         "objective": stages[-1].objective,
         "speed_max": float(motion.speed.max()),
+        "saturated": share_saturated(spike_counts(stream.spikes), len(stream.spikes), stream.bad_pixels),
         **learned,
         **({} if plan is None else {"plan": plan.numbers}),
         "seconds": clock.laps,

@@ -19,14 +19,13 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy.stats import chi2
 
+from scsr_opt.camera.saturation import SATURATED, spike_counts
 from scsr_opt.motion.trajectory import Motion
 
 # Side of a tile, sensor pixels.
 TILE = 16
 # Below so many spikes a pixel tells next to nothing alone; the prior and its neighbours have to.
 _DARK = 4.0
-# Share of the frames in which a saturated pixel fires: it is as bright as can be measured, or brighter.
-_SATURATED = 0.9
 # Share of a tile's light that must be usable: less, and most of what it sees is out of view in the key frame.
 _USED = 0.5
 # The chance that a tile without texture is taken for one with texture.
@@ -55,7 +54,7 @@ _REASONS = {
     Kind.MOVING: "moves: every interval is placed on its own",
     Kind.DARK: f"fewer than {_DARK:g} spikes a pixel: what there is is used in full, and smoothed",
     Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
-    Kind.SATURATED: f"fires in {100 * _SATURATED:g} % of the frames or more: runs of spikes are one measurement",
+    Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
 }
 
 
@@ -122,7 +121,7 @@ def plan_of(
     - `noise`: standard deviation of a pixel's mean number of spikes per frame.
     """
     frames, height, width = spikes.shape
-    count = np.add.reduce(spikes.astype(bool, copy=False).view(np.int8), axis=0, dtype=np.int32)
+    count = spike_counts(spikes)
     fired = count.astype(np.float32) / np.float32(frames)
     still = merged_for >= frames
     mean, pixels = _tiles(fired, np.mean), _tiles(np.ones_like(fired), np.sum)
@@ -142,7 +141,7 @@ def plan_of(
     kind[rests & flat] = Kind.UNIFORM
     kind[share < _USED] = Kind.FAST
     kind[mean * np.float32(frames) < _DARK] = Kind.DARK
-    kind[mean >= _SATURATED] = Kind.SATURATED
+    kind[mean >= SATURATED] = Kind.SATURATED
     return Plan(
         kind=kind,
         merged_for=_tiles(merged_for.astype(np.float32), np.min).astype(np.int32),

@@ -164,7 +164,7 @@ def test_small_sensors_before_which_something_moves(shape):
         ({"scale": 0}, "scale is 0; it must be a whole number, at least 1."),
         ({"key": 31}, "key is 31; it must be a whole number, from 0 to 30."),
         ({"frames": 0}, "frames is 0; it must be a whole number, at least 1."),
-        ({"white_rate": 0}, "white_rate is 0; it must be a finite number above 0, in spikes per frame."),
+        ({"white_rate": 0}, "white_rate is 0, but it must be a number from 1e-06 to 1000, in spikes per frame"),
         ({"strength": -1.0}, "strength is -1.0; it must be a finite number from 0 to 1e+18."),
         ({"strength": float("nan")}, "strength is nan; it must be a finite number from 0 to 1e+18."),
         ({"strength": 1e38}, "strength is 1e+38; it must be a finite number from 0 to 1e+18."),
@@ -183,6 +183,8 @@ def test_small_sensors_before_which_something_moves(shape):
         ({"velocity": "fast"}, "velocity is 'fast'; it must be an array of shape (2, 8, 9), two numbers"),
         ({"velocity": np.zeros((2, 3, 3), np.float32)}, "velocity has shape (2, 3, 3); it must be (2, 8, 9)"),
         ({"velocity": np.full((2, 8, 9), np.nan, np.float32)}, "velocity holds 144 values that are not finite"),
+        ({"velocity": [1e300, 0]}, "velocity holds 72 values that are not finite, or above 1e+06 sensor pixels"),
+        ({"white_rate": 1e-40}, "white_rate is 1e-40, but it must be a number from 1e-06 to 1000"),
         ({"spikes": np.full((31, 8, 9), 2, np.uint8)}, "0 and 1"),
         ({"spikes": np.zeros((8, 9), np.uint8)}, "dimensions"),
     ],
@@ -191,6 +193,16 @@ def test_what_cannot_be_used_is_said(change, message):
     arguments = {"spikes": np.zeros((31, 8, 9), np.uint8), "scale": 2, **change}
     with pytest.raises(InputError, match=re.escape(message)):
         reconstruct(arguments.pop("spikes"), **arguments)
+
+
+def test_the_share_of_saturated_pixels_is_known():
+    """Where a pixel fires in every frame the picture is a lower bound, which bad pixels say nothing of."""
+    spikes = (np.arange(31)[:, None, None] % 2 == np.zeros((8, 10), int)).astype(np.uint8)
+    spikes[:, :, 5:] = 1
+    assert reconstruct(spikes, scale=1).stats["saturated"] == 0.5
+    bad = np.zeros((8, 10), bool)
+    bad[:, 5:] = True
+    assert reconstruct(spikes, scale=1, bad_pixels=bad).stats["saturated"] == 0
 
 
 @pytest.mark.slow

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
-from scsr_opt.camera.recording import Recording
-from scsr_opt.inputs import number, picture_shape, whole
+from scsr_opt.camera.recording import Recording, checked_white_rate
+from scsr_opt.inputs import picture_shape, whole
 from scsr_opt.motion.estimate import filled
 
 
@@ -61,11 +61,7 @@ def part_of(
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)  # fits into memory
     key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
-    rate = (
-        recording.white_rate
-        if white_rate is None
-        else number(white_rate, "white_rate", lambda v: v > 0, "above 0, in spikes per frame")
-    )
+    rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
     start, stop = recording.around(key, whole(frames, "frames", 1))
     stream, bad = recording.window(start, stop), recording.bad_pixels
     if bad is not None:

@@ -70,8 +70,8 @@ def stp_bicubic(
 
 
 def tfp_picture(part: Part) -> Float[np.ndarray, "h w"]:
-    """`tfp` over 21 frames."""
-    return part.repaired(tfp(part.spikes, part.key, window=21, white_rate=part.white_rate))
+    """`tfp` over 21 frames, or all that there are."""
+    return part.repaired(tfp(part.spikes, part.key, white_rate=part.white_rate))
 
 
 def tfi_picture(part: Part) -> Float[np.ndarray, "h w"]:

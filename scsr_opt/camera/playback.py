@@ -17,12 +17,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from scsr_opt.camera.recording import WHITE_RATE
+from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.sources import as_spikes, checked_shape
 from scsr_opt.errors import InputError
 
+WINDOW = 21
+"""Frames that `tfp` averages over, where nothing else is said and the recording has as many."""
 
-def tfp(spikes: Any, key: int, *, window: int = 21, white_rate: float | int = WHITE_RATE) -> Float[np.ndarray, "h w"]:
+
+def tfp(
+    spikes: Any, key: int, *, window: int | None = None, white_rate: float | int = WHITE_RATE
+) -> Float[np.ndarray, "h w"]:
     """Texture from playback: spikes counted in a window around the key frame, over its length (Zhu et al. 2019).
 
     The count of n frames is off by up to one spike, the intensity by up to θ/n; whatever moves during the window is
@@ -31,19 +36,23 @@ def tfp(spikes: Any, key: int, *, window: int = 21, white_rate: float | int = WH
     **Arguments:**
     - `spikes`: (T, h, w), bool or integer 0 and 1; a `Recording` will do.
     - `key`: key frame, 0 to T − 1.
-    - `window`: frames, centred on the key frame (an even one has one more before it than after). Where it reaches over
-      an end of the recording, the frames that are there are used and divided by.
+    - `window`: frames, centred on the key frame (an even one has one more before it than after); 21 if not given, or
+      all of a shorter recording. Where it reaches over an end of the recording, the frames that are there are used and
+      divided by.
     - `white_rate`: spikes per frame of a pixel at intensity 1.
 
     **Returns:** (h, w) float32, intensity.
 
-    **Raises:** `InputError` if `spikes` are not such an array, `key` is outside or `window` or `white_rate` not above
-    0.
+    **Raises:** `InputError` if `spikes` are not such an array, `key` is outside, the recording has no `window` of so
+    many frames, or `white_rate` cannot be used.
     """
     recording, key, rate = _checked(spikes, key, white_rate)
-    length = _index(window, "window")
-    if length < 1:
-        raise InputError(f"window is {window}, but it must be a whole number of frames, at least 1.")
+    length = min(WINDOW, len(recording)) if window is None else _index(window, "window")
+    if not 1 <= length <= len(recording):
+        raise InputError(
+            f"window is {window}, but it must be a whole number of frames, from 1 to the {len(recording)} that there "
+            f"are."
+        )
     start = key - length // 2
     part = recording[max(start, 0) : start + length]
     return (part.sum(0, dtype=np.float64) / (len(part) * rate)).astype(np.float32)
@@ -63,7 +72,7 @@ def tfi(spikes: Any, key: int, *, white_rate: float | int = WHITE_RATE) -> Float
 
     **Returns:** (h, w) float32, intensity.
 
-    **Raises:** `InputError` if `spikes` are not such an array, `key` is outside or `white_rate` not above 0.
+    **Raises:** `InputError` if `spikes` are not such an array, `key` is outside, or `white_rate` cannot be used.
     """
     recording, key, rate = _checked(spikes, key, white_rate)
     before, after = _spikes_around(recording, key)
@@ -253,7 +262,7 @@ def _checked(spikes: Any, key: Any, white_rate: Any) -> tuple[UInt8[np.ndarray, 
             f"Key frame {frame} is not in the recording of {len(recording)} frames: choose one from 0 to "
             f"{len(recording) - 1}."
         )
-    return recording, frame, _between("white_rate", white_rate, math.inf, "in spikes per frame of white")
+    return recording, frame, checked_white_rate(white_rate)
 
 
 def _index(value: Any, name: str) -> int:

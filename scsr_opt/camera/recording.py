@@ -22,6 +22,11 @@ READOUT_RATE = 40_000.0
 WHITE_RATE = 0.6
 """Spikes per frame of intensity 1, where nothing else is known: measured on the REDS set and on real recordings."""
 
+# What a camera may have. White that fires less or more often than these would ask for intensities that single precision
+# does not hold, or that nothing here can tell from black: from 10⁴ on no motion is found, at 10⁻²⁰ no picture.
+_WHITE_RATES = (1e-6, 1e3)
+_READOUT_RATES = (1e-3, 1e12)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
@@ -37,7 +42,8 @@ class Recording:
     - `flipped`: whether the file has the rows bottom-up. Only a note: `window` and `spikes` are upright either way.
     - `name`: for titles and reports.
 
-    **Raises:** `InputError` if a rate is not a positive number, or `bad_pixels` is not a bool mask of shape (h, w).
+    **Raises:** `InputError` if `readout_rate` is not a number from 1e-3 to 1e12, `white_rate` not one from 1e-6 to 1e3,
+    or `bad_pixels` not a bool mask of shape (h, w).
     """
 
     source: SpikeSource
@@ -182,19 +188,24 @@ def checked_settings(
 ) -> dict[str, Any]:
     """The three settings of a recording of `shape` in the types of its fields, from anything that can mean them."""
     return {
-        "readout_rate": _positive(readout_rate, "readout_rate", "spike frames per second"),
-        "white_rate": _positive(white_rate, "white_rate", "spikes per frame of white"),
+        "readout_rate": _between(readout_rate, "readout_rate", *_READOUT_RATES, "in spike frames per second"),
+        "white_rate": checked_white_rate(white_rate),
         "bad_pixels": None if bad_pixels is None else _mask(bad_pixels, shape[1:]),
     }
 
 
-def _positive(value: Any, name: str, unit: str) -> float:
+def checked_white_rate(value: Any) -> float:
+    """`value` as spikes per frame of white. **Raises:** `InputError` if it is not a number from 1e-6 to 1e3."""
+    return _between(value, "white_rate", *_WHITE_RATES, f"in spikes per frame of white ({WHITE_RATE:g} if not known)")
+
+
+def _between(value: Any, name: str, least: float, most: float, unit: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if not (math.isfinite(number) and number > 0):
-        raise InputError(f"{name} is {value!r}, but it must be a number above 0, in {unit}.")
+    if not least <= number <= most:
+        raise InputError(f"{name} is {value!r}, but it must be a number from {least:g} to {most:g}, {unit}.")
     return number
 
 

@@ -25,6 +25,8 @@ from scsr_opt.errors import InputError
 
 KEY = 50.0
 """Key time where none is given: the middle of the simulator's 101 frames."""
+# Of positions, times and speeds: where a picture lies after a million frames is still known to a hundredth of a pixel.
+_FARTHEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ class Translation(_Still):
     - `velocity`: (rows, columns), HR pixels per frame.
     - `key`: spike frames.
 
-    **Raises:** `InputError` if `velocity` is not two finite numbers.
+    **Raises:** `InputError` if `velocity` is not two numbers up to a million.
     """
 
     def __init__(self, picture: Any, velocity: Any, *, key: float | int = KEY):
@@ -148,7 +150,8 @@ class Affine(_Still):
     - `centre`: (row, column), HR pixels; the picture's centre if None.
     - `key`: spike frames.
 
-    **Raises:** `InputError` if a number is not finite.
+    **Raises:** `InputError` if a number is not finite, a drift above a million, a rotation above a whole turn, zoom or
+    shear above 1.
     """
 
     def __init__(
@@ -163,9 +166,9 @@ class Affine(_Still):
         key: float | int = KEY,
     ):
         still = Picture(picture)
-        turn = _number(rotation, "rotation", "radians per frame")
-        grow = _number(zoom, "zoom", "relative growth per frame")
-        lean = _number(shear, "shear", "columns per row and frame")
+        turn = _number(rotation, "rotation", "radians per frame", math.tau)
+        grow = _number(zoom, "zoom", "relative growth per frame", 1.0)
+        lean = _number(shear, "shear", "columns per row and frame", 1.0)
         gradient = np.array([[grow, turn], [lean - turn, grow]])
         middle = _middle(still.size) if centre is None else _pair(centre, "centre", "HR pixels")
         super().__init__(still, SteadyMotion(_pair(drift, "drift", "HR pixels per frame"), gradient, middle), key)
@@ -323,7 +326,7 @@ class TurningDisc(_Layered):
         behind = as_intensity(background, "The background")
         reach = 0.4 * min(behind.shape) if radius is None else radius
         super().__init__(behind, picture, Ellipse(reach, reach), key)
-        turn = _number(rotation, "rotation", "radians per frame")
+        turn = _number(rotation, "rotation", "radians per frame", math.tau)
         self._middle = _middle(self.size) if centre is None else _pair(centre, "centre", "HR pixels")
         self._gradient = np.array([[0.0, turn], [-turn, 0.0]])
 
@@ -358,13 +361,15 @@ def _middle(size: tuple[int, int]) -> tuple[float, float]:
     return ((size[0] - 1) / 2, (size[1] - 1) / 2)
 
 
-def _number(value: Any, name: str, unit: str) -> float:
+def _number(value: Any, name: str, unit: str, most: float = _FARTHEST) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{name} is {value!r}, but it must be a finite number, {unit}.")
+    if not abs(number) <= most:
+        raise InputError(
+            f"{name} is {value!r}, but it must be a finite number, {unit}, of {most:.3g} at most either way."
+        )
     return number
 
 
@@ -373,8 +378,11 @@ def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
         first, second = (float(v) for v in value)
     except (TypeError, ValueError):
         first = second = math.nan
-    if not (math.isfinite(first) and math.isfinite(second)):
-        raise InputError(f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}.")
+    if not (abs(first) <= _FARTHEST and abs(second) <= _FARTHEST):
+        raise InputError(
+            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of {_FARTHEST:.3g} at "
+            f"most either way."
+        )
     return (first, second)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import gaussian_filter
 
-from scsr_opt.camera.recording import WHITE_RATE
+from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.scenes import Scene
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
@@ -23,6 +23,8 @@ from scsr_opt.progress import Progress
 DARK_ELECTRONS = 1000.0
 """Thermal electrons that make as much charge as white does in one frame, where `photons` does not say (no shot
 noise)."""
+# The numbers of photons and electrons that are drawn are 64-bit ones.
+_FEWEST_PHOTONS, _MOST_PHOTONS, _DARKEST = 1e-6, 1e12, 1e6
 
 
 def _real(value: Any) -> float:
@@ -67,15 +69,18 @@ class Sensor:
     psf_sigma: float | int = 0.0
 
     def __post_init__(self):
+        checked_white_rate(self.white_rate)
         _check(
-            "white_rate",
-            self.white_rate,
-            0 < _real(self.white_rate) < math.inf,
-            "above 0, in spikes per frame of white",
+            "photons",
+            self.photons,
+            _FEWEST_PHOTONS <= _real(self.photons) <= _MOST_PHOTONS or _real(self.photons) == math.inf,
+            f"from {_FEWEST_PHOTONS:g} to {_MOST_PHOTONS:g}, in photons per frame of white, or infinite",
         )
-        _check("photons", self.photons, _real(self.photons) > 0, "above 0, in photons per frame of white, or infinite")
         _check(
-            "dark_rate", self.dark_rate, 0 <= _real(self.dark_rate) < math.inf, "0 or more, as an intensity (1 = white)"
+            "dark_rate",
+            self.dark_rate,
+            0 <= _real(self.dark_rate) <= _DARKEST,
+            f"from 0 to {_DARKEST:g}, as an intensity (1 = white)",
         )
         _check(
             "fixed_pattern",
@@ -187,7 +192,7 @@ def simulate(
     **Returns:** `Simulation`.
 
     **Raises:** `InputError` if `scale` or `frames` is not a whole number of at least 1, the scene is smaller than one
-    sensor pixel or not known for so long, or `seed` is negative.
+    sensor pixel or not known for so long, the sensor's optics blur over more than the scene, or `seed` is negative.
     """
     scale, frames = _whole(scale, "scale", 1), _whole(frames, "frames", 1)
     h, w = scene.size[0] // scale, scene.size[1] // scale
@@ -195,6 +200,11 @@ def simulate(
         raise InputError(
             f"The scene has {scene.size[0]} rows and {scene.size[1]} columns, which is less than one sensor pixel at "
             f"scale {scale}: use a larger picture or a smaller scale."
+        )
+    if sensor.psf_sigma > max(scene.size):
+        raise InputError(
+            f"psf_sigma is {sensor.psf_sigma:g} HR pixels, but it must be from 0 to the longer side of the scene, "
+            f"{max(scene.size)}."
         )
     if not (scene.span[0] <= 0 and frames - 1 <= scene.span[1] + 1e-9):
         raise InputError(

@@ -111,7 +111,7 @@ class Video(Scene):
         if not first - 1e-9 <= t <= last + 1e-9:
             raise InputError(
                 f"Time {t:g} is outside the video: its {len(self._source)} frames, {self._spacing:g} readouts apart, "
-                f"last from spike frame {first:g} to {last:g}. Ask for fewer spike frames, or for more "
+                f"last from spike frame {first:g} to {last:g}; ask for fewer spike frames, or for more "
                 f"readouts_per_frame."
             )
         return min(max(float(t), first), last)

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from cyclopts import App, CycloptsError, MissingArgumentError
+from cyclopts import App
 
 from scsr_opt.cli.baseline import baseline
 from scsr_opt.cli.bench import bench
@@ -25,7 +25,7 @@ from scsr_opt.cli.simulate import simulate
 from scsr_opt.cli.solve import solve
 from scsr_opt.cli.stress import stress
 from scsr_opt.cli.train import train
-from scsr_opt.errors import InputError
+from scsr_opt.cli.wording import sentence
 
 
 def _version() -> str:
@@ -72,26 +72,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("SCSR_TRACEBACK"):
             raise
-        return _fail(_sentence(error), 2)
+        return _fail(sentence(error), 2)
 
 
-def _sentence(error: Exception) -> str:
-    if isinstance(error, MissingArgumentError) and error.argument is not None and not error.argument.tokens:
-        # The parser's own sentence sounds as if the option were there and its value were not.
-        command, name = " ".join(error.command_chain or ()), " or ".join(error.argument.names)
-        if error.keyword is None:
-            return f"scsr {command} needs {name}, which is missing: {error.argument.parameter.help}"
-    if isinstance(error, CycloptsError | InputError):
-        return str(error)
-    if isinstance(error, MemoryError):
-        return "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}." if error.filename else f"{error.strerror}."
-    return f"{type(error).__name__}: {error} (a fault of the program; SCSR_TRACEBACK=1 shows where)"
-
-
-def _fail(sentence: str, code: int) -> int:
-    say_error(sentence)
+def _fail(why: str, code: int) -> int:
+    say_error(why)
     return code
 
 

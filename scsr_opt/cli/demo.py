@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import Quiet, progress, say_error
+from scsr_opt.cli.options import Quiet, progress, say_failure
 from scsr_opt.errors import InputError
 
 
@@ -30,7 +30,7 @@ def demo(
     check_writable(output / "figure.png")
     outcome = run(output, progress=progress(quiet))
     if not outcome.solution.result.good:
-        say_error(f"{outcome.solution.result.sentence} No picture was written.")
+        say_failure("No picture was written", outcome.solution.result.sentence)
         return 1
     if not quiet:
         print("\n".join(outcome.lines))

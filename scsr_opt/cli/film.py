@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, moments, progress, say_error
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, moments, progress, say_failure
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
@@ -66,10 +66,17 @@ def film(
     recording = (reading or Reading()).open(file)
     keys = moments(recording, start, stop, step, about=_PICTURES)
     choices = solving.arguments(recording, scale)
-    if frames is not None:
-        choices["frames"] = frames
 
     from scsr_opt import sequence
+    from scsr_opt.motion import Estimator
+
+    if not isinstance(choices.get("velocity"), Estimator | None):
+        raise InputError(
+            f"--motion {solving.motion} is the velocity at one moment, but a film has many: give auto, none, phase, "
+            f"global, dense, ilk or tvl1."
+        )
+    if frames is not None:
+        choices["frames"] = frames
 
     begin = time.perf_counter()
     made = _Made(pictures)
@@ -77,7 +84,7 @@ def film(
     try:
         count = write_film(output, made.images(keys, solutions, progress(quiet)), rate=rate, gamma=gamma)
     except _Failed as failed:
-        say_error(f"Frame {failed.key}: {failed.sentence} No film was written.")
+        say_failure(f"No film was written, because of frame {failed.key}", failed.sentence)
         return 1
     if not quiet:
         each = (time.perf_counter() - begin) / count

@@ -39,6 +39,8 @@ def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[st
     """The facts of a recording as plain numbers; it is read in windows, whatever its length."""
     import numpy as np
 
+    from scsr_opt.camera.saturation import share_saturated
+
     step = max(1, (32 << 20) // (recording.height * recording.width))
     counts = np.zeros((recording.height, recording.width), np.int64)
     meter.start(recording.frames, "Counting spikes")
@@ -67,6 +69,7 @@ def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[st
         "rate_high": high,
         "bad_pixels": None if bad is None else int(np.count_nonzero(bad)),
         "silent_pixels": int(np.count_nonzero(counts == 0)),
+        "saturated": share_saturated(counts, recording.frames, bad),
         "always_firing_pixels": int(np.count_nonzero(counts == recording.frames)),
     }
 
@@ -85,4 +88,8 @@ def _lines(file: Path, facts: dict[str, Any]) -> list[str]:
         "bad pixels": f"{bad}; never fired: {facts['silent_pixels']:,}; fired in every frame: "
         f"{facts['always_firing_pixels']:,}",
     }
+    if facts["saturated"]:
+        from scsr_opt.camera.saturation import said_of
+
+        table["saturated"] = said_of(facts["saturated"])
     return [str(file), *(f"  {name:<12} {value}" for name, value in table.items())]

@@ -149,3 +149,8 @@ def check_outputs(inputs: list[Path], **outputs: Path | None) -> None:
 def say_error(sentence: str) -> None:
     """One line on standard error, as every error of `scsr` is said."""
     print("scsr: error:", " ".join(sentence.split()), file=sys.stderr, flush=True)
+
+
+def say_failure(what: str, why: str) -> None:
+    """That `what` did not come about, and `why`, the sentence of a `Result`: both in one."""
+    say_error(f"{what}: {why[:1].lower()}{why[1:]}")

@@ -16,6 +16,8 @@ Method = Literal["tfp", "tfi", "stp"]
 
 # Playback from intervals looks back to the last spikes of a pixel: enough frames for pixels that fire 5 times in 1000.
 _CONTEXT = 1001
+# Frames that tfp averages over, where nothing else is said.
+_WINDOW = 21
 # Pictures of a film, about, and how many are shown a second, where nothing else is said.
 _PICTURES, _RATE = 100, 25.0
 
@@ -41,7 +43,9 @@ def play(
     key: Annotated[
         Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one. Pictures only.")
     ] = None,
-    window: Annotated[Whole, Parameter(help="Frames that tfp averages over.")] = 21,
+    window: Annotated[
+        Whole | None, Parameter(help="Frames that tfp averages over. Default: 21, or all of a shorter recording.")
+    ] = None,
     start: Annotated[Whole, Parameter(help="First frame of a film.")] = 0,
     stop: Annotated[Whole | None, Parameter(help="Frame before which a film ends. Default: the end.")] = None,
     step: Annotated[
@@ -74,6 +78,8 @@ def play(
                 f"--start, --stop, --step and --rate are for films, but {target} is a picture: give --key for the "
                 f"frame to show, or a name that ends in {' or '.join(FILM_ENDINGS)}."
             )
+    if window is not None and method != "tfp":
+        raise InputError(f"--window is for --method tfp, but the method is {method}: leave it out.")
     check_outputs([file], output=target)
     recording = (reading or Reading()).open(file)
     player = _Player(recording, method, window)
@@ -93,12 +99,14 @@ def play(
 class _Player:
     """Playback of a recording at any frame; only the frames around it are read."""
 
-    def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int):
+    def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int | None):
         self._recording = recording
         self._method = method
-        self._window = window
-        if window < 1:
-            raise InputError(f"--window is {window}, but at least 1 frame is needed.")
+        self._window = min(_WINDOW, recording.frames) if window is None else window
+        if not 1 <= self._window <= recording.frames:
+            raise InputError(
+                f"--window is {window}, but it must be from 1 to the {recording.frames} frames of the recording."
+            )
 
     def picture(self, moment: int) -> Any:
         from scsr_opt import camera

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 SAMPLES = ("astronaut", "brick", "camera", "chelsea", "coffee", "coins", "grass", "gravel", "moon", "page", "text")
 """Pictures that come with scikit-image, without a download."""
 
+# Velocity and radius in sensor pixels: no scene has more to show.
+_LARGEST = 1e3
+
 Kind = Literal["static", "translation", "affine", "object", "disc", "video"]
 
 # Options that only some scenes have; another scene refuses them rather than ignore them.
@@ -63,13 +66,28 @@ class Motion:
     ] = None
 
     def check(self) -> None:
-        """**Raises:** `InputError` if an option was given that this kind of scene does not have."""
+        """**Raises:** `InputError` if an option was given that this kind of scene does not have, or one whose unit is
+        another in Python is not such a number."""
         for name, kinds in _ONLY.items():
             if getattr(self, name) is not None and self.scene not in kinds:
                 raise InputError(
                     f"--{name.replace('_', '-')} is for --scene {' or '.join(kinds)}, but the scene is {self.scene}: "
                     f"leave it out."
                 )
+        if self.velocity is not None and not all(abs(v) <= _LARGEST for v in self.velocity):
+            down, right = self.velocity
+            raise InputError(
+                f"--velocity is {down:g} {right:g}, but it must be two finite numbers, DOWN RIGHT in sensor pixels per "
+                f"frame, of {_LARGEST:g} at most either way."
+            )
+        if self.radius is not None and not 0 < self.radius <= _LARGEST:
+            raise InputError(
+                f"--radius is {self.radius:g}, but it must be a number of sensor pixels above 0, {_LARGEST:g} at most."
+            )
+        if self.readouts is not None and not 1 <= self.readouts < math.inf:
+            raise InputError(
+                f"--readouts is {self.readouts:g}, but it must be a finite number of spike frames, at least 1."
+            )
 
     def build(self, images: tuple[str, ...], scale: int, key: int) -> "scsr_opt.camera.scenes.Scene":
         """The scene of these pictures, which lie as they are given in frame `key`.

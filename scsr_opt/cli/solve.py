@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress, say_error
+from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress, say_failure
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
@@ -88,7 +88,7 @@ def solve(
     if report is not None:
         said.write(report)
     if not solution.result.good:
-        say_error(f"{solution.result.sentence} No picture was written.")
+        say_failure("No picture was written", solution.result.sentence)
         return 1
     _write(output, solution, bits=bits, gamma=gamma, scale=scale, key=moment)
     if figure is not None:

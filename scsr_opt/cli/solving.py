@@ -1,7 +1,7 @@
 """How `scsr solve` is to solve: options, and what they mean as arguments of `reconstruct`."""
 
 from dataclasses import dataclass
-from math import inf, isfinite, nan
+from math import inf, nan
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -117,10 +117,10 @@ class Solving:
             raise InputError(f"--iterations is {self.iterations}, but it must be at least 1.")
         if self.refine < 0:
             raise InputError(f"--refine is {self.refine}, but it must be at least 0.")
-        if self.strength is not None and not (self.strength >= 0 and isfinite(self.strength)):
-            raise InputError(f"--strength is {self.strength:g}, but it must be at least 0 and finite.")
-        if self.optics not in (None, "estimate") and not 0 <= _number(self.optics) < inf:
-            raise InputError(f"--optics is {self.optics}, but it must be estimate or a number of sensor pixels from 0.")
+        if self.strength is not None:
+            from scsr_opt.inputs import prior_strength
+
+            prior_strength(self.strength, "--strength")
 
     def arguments(self, recording: "scsr_opt.camera.Recording", scale: int) -> dict[str, Any]:
         """Those of `reconstruct`; what was not asked for is left to its defaults.
@@ -179,6 +179,12 @@ class Solving:
     def _optics(self, recording: "scsr_opt.camera.Recording", scale: int) -> Any:
         if self.optics is None or self.optics == "estimate":
             return self.optics
+        longer = max(recording.height, recording.width)
+        if not 0 <= _number(self.optics) <= longer:
+            raise InputError(
+                f"--optics is {self.optics}, but it must be estimate or a standard deviation from 0 to {longer} sensor "
+                f"pixels, the longer side of the recording."
+            )
         from scsr_opt.operators import Blur
 
         return Blur.gaussian((scale * recording.height, scale * recording.width), float(self.optics) * scale)
@@ -239,6 +245,7 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
     import numpy as np
 
     from scsr_opt import motion as known
+    from scsr_opt.motion.handed_in import FASTEST
 
     named = {
         "none": known.Still,
@@ -255,20 +262,26 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
     shape = (2, recording.height, recording.width)
     if motion.endswith(".npy"):
         field = load_npy("motion", motion)
-        if field.shape != shape or field.dtype.kind not in "fiu" or not np.isfinite(field).all():
+        if field.shape != shape or field.dtype.kind not in "fiu" or not (np.abs(field) <= FASTEST).all():
             raise InputError(
                 f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {shape}, finite, in "
-                f"sensor pixels per frame."
+                f"sensor pixels per frame, of {FASTEST:g} at most either way."
             )
         return field.astype(np.float32)
     down, _, right = motion.partition(",")
-    velocity = np.array([_number(down), _number(right)], np.float32)
-    if not np.isfinite(velocity).all():
+    try:
+        velocity = np.array([float(down), float(right)])
+    except ValueError:
         raise InputError(
             f"--motion {motion} is not known: give auto, none, phase, global, dense, ilk, tvl1, DOWN,RIGHT in sensor "
             f"pixels per frame, or the name of a .npy file."
+        ) from None
+    if not (np.abs(velocity) <= FASTEST).all():
+        raise InputError(
+            f"--motion is {motion}, but DOWN,RIGHT must be two finite numbers of sensor pixels per frame, of "
+            f"{FASTEST:g} at most either way."
         )
-    return np.broadcast_to(velocity[:, None, None], shape).copy()
+    return np.broadcast_to(velocity.astype(np.float32)[:, None, None], shape).copy()
 
 
 def load_npy(option: str, path: str) -> "np.ndarray":

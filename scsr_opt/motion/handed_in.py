@@ -8,14 +8,21 @@ from numpy.typing import ArrayLike
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 
+FASTEST = 1e6
+"""Sensor pixels per frame that a velocity may have either way; squares and sums of it are still numbers in float32."""
+
 
 def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) -> Motion:
     """A velocity handed in by the user: (2, h, w), or two numbers for the whole scene; sensor pixels per frame.
 
-    **Errors:** `InputError` for another shape or values that are not finite.
+    **Errors:** `InputError` for another shape, or values that are not finite or above `FASTEST`.
     """
     try:
-        field = np.asarray(velocity, np.float32)
+        array = np.asarray(velocity)
+        if np.iscomplexobj(array):
+            raise TypeError
+        with np.errstate(over="ignore"):
+            field = array.astype(np.float32)
     except (TypeError, ValueError):
         raise InputError(
             f"velocity is {velocity!r}; it must be an array of shape (2, {height}, {width}), two numbers (rows, "
@@ -28,9 +35,11 @@ def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) 
             f"velocity has shape {np.shape(velocity)}; it must be (2, {height}, {width}) or two numbers "
             "(rows, columns), in sensor pixels per frame."
         )
-    if not np.isfinite(field).all():
+    wrong = int(np.count_nonzero(~(np.abs(field) <= FASTEST)))
+    if wrong:
         raise InputError(
-            f"velocity holds {int((~np.isfinite(field)).sum())} values that are not finite; use 0 where it is unknown."
+            f"velocity holds {wrong} values that are not finite, or above {FASTEST:g} sensor pixels per frame; use 0 "
+            f"where it is unknown."
         )
     return Motion.of_velocity(field)
 

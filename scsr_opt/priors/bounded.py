@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -58,13 +59,19 @@ class Bounded(Prior[BoundedState]):
             raise InputError(
                 "Bounded was given a prior that is Bounded itself; bound the prior within it once, by both."
             )
-        most = math.inf if upper is None else float(upper)
-        if not lower < most:
+        try:
+            least, most = float(lower), math.inf if upper is None else float(upper)
+        except (TypeError, ValueError):
+            least = most = math.nan
+        with np.errstate(over="ignore"):
+            between = np.float32(least) < np.float32(most)  # what pictures are made of
+        if not between:
             raise InputError(
-                f"Bounded was given lower={lower} and upper={upper}; the lower bound has to be below the upper one."
+                f"Bounded was given lower={lower!r} and upper={upper!r}; the lower bound has to be a number below the "
+                f"upper one, so much that they differ in single precision."
             )
         self.prior = prior
-        self.lower, self.upper = float(lower), most
+        self.lower, self.upper = least, most
         self.rounds = whole("Bounded", rounds, "rounds")
 
     @property

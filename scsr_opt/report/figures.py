@@ -71,7 +71,7 @@ def figure(
     - `scale`: HR pixels per sensor pixel, the one that was solved for.
     - `key`: the key frame; the middle one if None.
     - `white_rate`: spikes per frame of white; the recording's own (0.6 for an array) if None.
-    - `window`: frames that the playback (TFP) averages over.
+    - `window`: frames that the playback (TFP) averages over, if the recording has as many.
     - `truth`: (H, W), the picture of the key frame where it is known.
     - `title`: over everything; none if None.
 
@@ -85,6 +85,7 @@ def figure(
     rate = source.white_rate if white_rate is None else white_rate
     middle = source.frames // 2 if key is None else key
     start, stop = source.around(middle, window)
+    window = min(window, stop - start)
     playback = np.asarray(tfp(source.window(start, stop), middle - start, window=window, white_rate=rate))
     columns = {f"Playback (TFP, {window} frames), bicubic ×{scale}": bicubic(playback, scale)}
     columns[f"Reconstruction ×{scale}"] = np.asarray(solution.image)

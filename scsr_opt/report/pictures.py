@@ -24,6 +24,10 @@ from scsr_opt.report.files import whole_file
 PICTURE_BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".npz": (32,)}
 """Endings of still pictures with the bits per pixel that each can have, the default first; 32 is floating point."""
 FILM_ENDINGS = (".gif", ".mp4")
+# Beyond these every level becomes black, or every one white.
+_GAMMAS = (0.1, 10)
+# Pictures per second; a GIF shows one for 655 seconds at most.
+_RATES = (0.01, 1000)
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class PictureFormat:
     def of(cls, path: str | os.PathLike[str], *, bits: int | None = None, gamma: float = 1.0) -> "PictureFormat":
         """The format for `path`, to be asked before the picture is made.
 
-        **Raises:** `InputError` if the ending is not known or cannot have these bits, or gamma is not above 0.
+        **Raises:** `InputError` if the ending is not known or cannot have these bits, or gamma is not from 0.1 to 10.
         """
         ending = Path(path).suffix.lower()
         if ending not in PICTURE_BITS:
@@ -66,8 +70,11 @@ class PictureFormat:
 
 
 def _check_gamma(gamma: float) -> None:
-    if not (np.isfinite(gamma) and gamma > 0):
-        raise InputError(f"gamma is {gamma}, but it must be above 0: 1 for linear intensity, 2.2 for looking at.")
+    least, most = _GAMMAS
+    if not least <= gamma <= most:
+        raise InputError(
+            f"gamma is {gamma}, but it must be from {least:g} to {most:g}: 1 for linear intensity, 2.2 for looking at."
+        )
 
 
 def quantise(
@@ -168,10 +175,10 @@ def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float
     """Finds out before the frames are made whether `path` can be written as a film.
 
     **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder; if the rate is not
-    above 0 and at most 1000 pictures per second, or gamma is not above 0.
+    from 0.01 to 1000 pictures per second, or gamma not from 0.1 to 10.
     """
-    if not (0 < rate <= 1000):
-        raise InputError(f"rate is {rate:g}, but it must be above 0 and at most 1000 pictures per second.")
+    if not _RATES[0] <= rate <= _RATES[1]:
+        raise InputError(f"rate is {rate:g}, but it must be from {_RATES[0]:g} to {_RATES[1]:g} pictures per second.")
     _check_gamma(gamma)
     ending = Path(path).suffix.lower()
     if ending not in FILM_ENDINGS:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from scsr_opt.camera.saturation import said_of
 from scsr_opt.report.files import whole_file
 from scsr_opt.solvers.solution import Solution, Stage
 
@@ -110,6 +111,8 @@ class Report:
                 f"Motion: {self.motion['mean_speed']:.3g} sensor pixels per frame in the mean, "
                 f"{self.motion['top_speed']:.3g} at most."
             )
+        if self.stats.get("saturated"):
+            lines.append(f"Saturated: {said_of(self.stats['saturated'])}.")
         iterations = self.stats.get("iterations", len(self.stages))
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
         lines.append(f"{iterations} iterations{took}. {self.result['sentence']}")

@@ -101,7 +101,7 @@ class Smooth(Solver[SmoothState]):
         if not prior.smooth:
             raise InputError(
                 f"{type(self).__name__} was given {type(prior).__name__}, which has kinks; it needs a smooth "
-                "prior such as HuberTotalVariation. For this one take FISTA, ADMM or CondatVu."
+                "prior such as HuberTotalVariation, or for this one another solver: FISTA, ADMM or CondatVu."
             )
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> SmoothState:

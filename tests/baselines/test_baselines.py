@@ -104,8 +104,8 @@ def test_blank_and_tiny_recordings(name, value):
     [
         ({"scale": 0}, "scale is 0; it must be a whole number, at least 1."),
         ({"key": 31}, "key is 31; it must be a whole number, from 0 to 30."),
-        ({"white_rate": 0}, "white_rate is 0; it must be a finite number above 0, in spikes per frame."),
-        ({"white_rate": float("nan")}, "white_rate is nan; it must be"),
+        ({"white_rate": 0}, "white_rate is 0, but it must be a number from 1e-06 to 1000, in spikes per frame"),
+        ({"white_rate": float("nan")}, "white_rate is nan, but it must be"),
         ({"spikes": np.full((31, 8, 9), 2, np.uint8)}, "0 and 1"),
         ({"spikes": np.zeros((8, 9), np.uint8)}, "dimensions"),
     ],

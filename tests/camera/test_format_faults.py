@@ -124,7 +124,7 @@ MISTAKES = {
     ),
     "white rate of the file": (
         lambda f: read_recording(_npz(f / "r.npz", spk=SPIKES, white_rate=-0.5)),
-        r"white_rate is -0\.5, but it must be a number above 0",
+        r"white_rate is -0\.5, but it must be a number from 1e-06",
     ),
     "write: ending": (lambda f: write_recording(f / "r.mp4", SPIKES), r"ends in '\.mp4', .*choose one of \.dat, "),
     "write: flip elsewhere": (lambda f: write_recording(f / "r.npz", SPIKES, flip=True), r"only flat \.dat files have"),

@@ -127,7 +127,7 @@ def test_a_bad_pixel_is_left_out_whatever_it_does():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"white_rate": 0}, "white_rate is 0, but it must be a number above 0"),
+        ({"white_rate": 0}, "white_rate is 0, but it must be a number from 1e-06"),
         ({"white_rate": 0.6, "bad_pixels": np.zeros((3, 3), bool)}, "bad_pixels has shape (3, 3), but the sensor has"),
         ({"white_rate": 0.6, "bad_pixels": np.full((9, 8), 2)}, "bad_pixels holds values"),
     ],

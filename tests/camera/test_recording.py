@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scsr_opt.camera.recording import Recording, _index, _positive
+from scsr_opt.camera.recording import Recording, _index, checked_white_rate
 from scsr_opt.errors import InputError
 
 
@@ -119,19 +119,19 @@ MISTAKES = {
     ),
     "white rate 0": (
         lambda: Recording.from_array(some_spikes(), white_rate=0),
-        r"white_rate is 0, .*above 0.*per frame",
+        r"white_rate is 0, .*from 1e-06 to 1000.*per frame",
     ),
     "readout rate nan": (
         lambda: Recording.from_array(some_spikes(), readout_rate=float("nan")),
-        r"readout_rate is nan.*above 0.*per second",
+        r"readout_rate is nan.*from 0.001 to 1e\+12.*per second",
     ),
     "window past the end": (lambda: RECORDING.window(5, 13), r"frames 5 to 13.*frames 0 to 11.*stop <= 12"),
     "window from the end": (lambda: RECORDING.window(-3, 12), r"frames -3 to 12.*0 <= start"),
     "empty window": (lambda: RECORDING.window(4, 4), r"frames 4 to 4.*start < stop"),
     "a time for a frame": (lambda: _index(0.5, "start"), r"start is 0.5.*whole numbers"),
     "words for a rate": (
-        lambda: _positive("40 kHz", "readout_rate", "Hz"),
-        r"readout_rate is '40 kHz', .*above 0, in Hz",
+        lambda: checked_white_rate("bright"),
+        r"white_rate is 'bright', .*from 1e-06 to 1000, in spikes per frame",
     ),
     "key frame outside": (lambda: RECORDING.around(12), r"Key frame 12 is not in.*12 frames.*0 to 11"),
     "no frames around": (lambda: RECORDING.around(3, 0), r"0 frames holds nothing.*at least 1"),

@@ -190,6 +190,8 @@ def test_a_picture_handed_in_is_not_changed_and_one_handed_out_cannot_be():
         (lambda: Translation(smooth(), (1.0, np.nan)), "velocity is .* two finite numbers .*in HR pixels per frame"),
         (lambda: Affine(smooth(), rotation=np.nan), "rotation is nan, but it must be a finite number, radians"),
         (lambda: Affine(smooth(), zoom=np.inf), "zoom is inf"),
+        (lambda: Affine(smooth(), zoom=1e200), r"zoom is 1e\+200, .* of 1 at most either way"),
+        (lambda: Translation(smooth(), (0.0, -1e300)), r"velocity is .* of 1e\+06 at most either way"),
         (lambda: Affine(smooth(), shear=np.inf), "shear is inf"),
         (lambda: Affine(smooth(), drift=(1.0,)), "drift is"),
         (lambda: Affine(smooth(), centre="here"), "centre is 'here'"),

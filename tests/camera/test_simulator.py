@@ -219,15 +219,18 @@ def test_progress_is_told_of_every_frame_and_of_the_end_even_when_it_fails():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"white_rate": 0.0}, "white_rate is 0.0, but it must be a number above 0"),
+        ({"white_rate": 0.0}, "white_rate is 0.0, but it must be a number from 1e-06"),
         ({"white_rate": np.inf}, "white_rate is inf"),
-        ({"photons": -1.0}, "photons is -1.0, but it must be a number above 0"),
+        ({"photons": -1.0}, "photons is -1.0, but it must be a number from 1e-06"),
         ({"photons": np.nan}, "photons is nan"),
-        ({"dark_rate": -0.1}, "dark_rate is -0.1, but it must be a number 0 or more"),
+        ({"dark_rate": -0.1}, "dark_rate is -0.1, but it must be a number from 0 to 1e\\+06"),
         ({"fixed_pattern": 1.0}, "fixed_pattern is 1.0, but it must be a number from 0 to below 1"),
         ({"dead": 1.5}, "dead is 1.5, but it must be a number from 0 to 1, a fraction"),
         ({"hot": -0.5}, "hot is -0.5, but it must be a number from 0 to 1, a fraction"),
         ({"dead": 0.6, "hot": 0.6}, "dead = 0.6 and hot = 0.6 are more than all pixels"),
+        ({"photons": 1e300}, r"photons is 1e\+300, but it must be a number from 1e-06 to 1e\+12"),
+        ({"dark_rate": 1e300}, r"dark_rate is 1e\+300"),
+        ({"white_rate": 1e-40}, "white_rate is 1e-40"),
         ({"psf_sigma": -1.0}, "psf_sigma is -1.0, but it must be a number 0 or more, in HR pixels"),
     ],
 )

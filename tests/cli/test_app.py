@@ -50,10 +50,15 @@ def test_entry_point_is_installed(here):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["explode"], 'Unknown command "explode"'),
+        (["explode"], r'Unknown command "explode": choose from info, simulate, .*, bench\.$'),
         (["info"], "scsr info needs FILE, which is missing: The recording: .dat"),
-        (["info", "a.npz", "b.npz"], r"Unused Tokens: \['b.npz'\]"),
+        (["info", "a.npz", "b.npz"], r"scsr info has no use for b.npz: leave it out, or see scsr info --help"),
         (["info", "a.npz", "--colour"], "Unknown option: --colour"),
+        (["solve", "a.npz", "-o", "a.png", "--strengt", "1"], r"Unknown option: --strengt; did you mean --strength\?$"),
+        (
+            ["solve", "a.npz", "-o", "a.png", "--prior", "magic"],
+            r'Invalid value "magic" for --prior; choose from: "ridge", ',
+        ),
         (["solve", "a.npz"], "scsr solve needs --output or -o, which is missing: Picture to write: .png"),
         (["solve", "a.npz", "-o"], "-o requires an argument"),
         (["solve", "a.npz", "-o", "a.png", "--scale", "four"], '--scale: "four" is not a whole number'),
@@ -65,12 +70,14 @@ def test_entry_point_is_installed(here):
         (["info", "a.npz", "--row-bits", "41.5"], '--row-bits: "41.5" is not a whole number'),
         (["simulate", "a.png", "-o", "a.npz", "--frames", "9.9"], '--frames: "9.9" is not a whole number'),
         (["play", "a.npz", "--method", "magic"], "magic"),
-        (["simulate", "-o", "a.npz", "--velocity", "1"], "velocity"),
+        (["simulate", "-o", "a.npz", "--velocity", "1"], r"--velocity needs 2 values, but got 1: DOWN RIGHT in"),
+        (["simulate", "-o", "a.npz", "--velocity"], r"--velocity needs 2 values, but got 0: DOWN RIGHT in"),
     ],
 )
 def test_wrong_arguments(scsr, arguments, message):
     said = scsr(*arguments, code=2)
     assert re.search(message, said), said
+    assert not re.search(r"[.!?]\s+[A-Z]", said.removeprefix("scsr: error: "))
 
 
 def test_interrupting_says_so(scsr, monkeypatch, file):

@@ -28,6 +28,19 @@ def test_info_as_json(scsr, here, spikes):
     assert facts["rate_high"] == pytest.approx(spikes.mean(0).max(), rel=0.01)
 
 
+def test_info_says_how_much_is_saturated(scsr, spikes):
+    assert "saturated" not in scsr("info", write(spikes))
+    spikes[:, :, 30:] = 1
+    said = scsr("info", write(spikes))
+    assert "saturated    25 % of the pixels fired in 90 % of the frames or more" in said and "a lower bound" in said
+    assert json.loads(scsr("info", "light.npz", "--json"))["saturated"] == 0.25
+
+
+def write(spikes: np.ndarray) -> str:
+    write_recording("light.npz", Recording.from_array(spikes))
+    return "light.npz"
+
+
 def test_info_counts_a_long_recording_in_windows(scsr, monkeypatch, here):
     spikes = np.zeros((700, 250, 400), np.uint8)
     spikes[::3, 10] = 1

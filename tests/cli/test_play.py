@@ -5,7 +5,7 @@ import os
 import pytest
 from PIL import Image
 
-from scsr_opt.camera import tfp
+from scsr_opt.camera import Recording, tfp, write_recording
 from scsr_opt.report import read_picture
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
@@ -29,6 +29,12 @@ def test_play_at_the_ends_of_a_recording(scsr, file, spikes):
         assert read_picture("a.npz") == pytest.approx(tfp(spikes, key, white_rate=0.6), abs=1e-6)
 
 
+def test_play_a_recording_shorter_than_the_window(scsr, spikes):
+    write_recording("short.npz", Recording.from_array(spikes[:5]))
+    scsr("play", "short.npz", "-o", "a.npz")
+    assert read_picture("a.npz") == pytest.approx(spikes[:5].mean(0) / 0.6, abs=1e-6)
+
+
 def test_play_a_film(scsr, file):
     said = scsr("play", file, "-o", "a.gif", "--start", "5", "--stop", "20", "--step", "5", "--window", "7")
     assert said == "a.gif: 3 pictures of frames 5 to 15, every 5.\n"
@@ -45,7 +51,9 @@ def test_play_a_film(scsr, file):
         (["-o", "ramp.npz"], "--output ramp.npz is the file that is read"),
         (["--key", "31"], "Key frame 31 is not in ramp, which has 31 frames"),
         (["--key", "-1"], "Key frame -1 is not in ramp"),
-        (["--window", "0"], "--window is 0"),
+        (["--window", "0"], "--window is 0, but it must be from 1 to the 31 frames of the recording"),
+        (["--window", "1000"], "--window is 1000, but it must be from 1 to the 31 frames of the recording"),
+        (["--window", "5", "--method", "tfi"], "--window is for --method tfp, but the method is tfi: leave it out"),
         (["--bits", "12"], "12 bits per pixel cannot be stored in .png"),
         (["--gamma", "0"], "gamma is 0"),
         (["-o", "a.gif", "--key", "3"], "--key and --bits are for pictures, but a.gif is a film"),

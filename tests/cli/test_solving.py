@@ -119,12 +119,15 @@ def test_gains_are_read_from_a_file(scsr, here, file, asked):
     ("options", "message"),
     [
         ("--iterations 0", "--iterations is 0, but it must be at least 1"),
-        ("--strength -1", "--strength is -1, but it must be at least 0 and finite"),
+        ("--strength -1", "--strength is -1.0; it must be a finite number from 0 to 1e+18"),
+        ("--strength 1e30", "--strength is 1e+30; it must be a finite number from 0 to 1e+18"),
         ("--strength nan", "--strength is nan"),
         ("--refine -1", "--refine is -1"),
         ("--motion fast", "--motion fast is not known"),
         ("--motion 1,2,3", "--motion 1,2,3 is not known"),
-        ("--motion nan,0", "--motion nan,0 is not known"),
+        ("--motion nan,0", "--motion is nan,0, but DOWN,RIGHT must be two finite numbers of sensor pixels per frame"),
+        ("--motion 1e39,0", "--motion is 1e39,0, but DOWN,RIGHT must be two finite numbers"),
+        ("--motion fast.npy", "finite, in sensor pixels per frame, of 1e+06 at most either way"),
         ("--motion gone.npy", "There is no file gone.npy for --motion"),
         ("--motion small.npy", "but a velocity is (2, 24, 40)"),
         ("--samples windows", "--samples is windows, but it must be intervals or windows:N, N from 1 to 31 frames"),
@@ -135,10 +138,19 @@ def test_gains_are_read_from_a_file(scsr, here, file, asked):
         ("--gain gone.npy", "There is no file gone.npy for --gain"),
         ("--gain small.npy", "--gain small.npy holds float64 of shape (2, 3), but gains are (24, 40)"),
         ("--gain zeros.npy", "finite and above 0"),
-        ("--optics wide", "--optics is wide, but it must be estimate or a number of sensor pixels from 0"),
+        (
+            "--optics wide",
+            "--optics is wide, but it must be estimate or a standard deviation from 0 to 40",
+        ),
+        ("--optics 1e9", "--optics is 1e9, but it must be estimate or a standard deviation from 0 to 40"),
+        ("--white-rate 1e-40", "white_rate is 1e-40, but it must be a number from 1e-06 to 1000"),
+        ("--white-rate 1e40", "white_rate is 1e+40, but it must be a number from 1e-06 to 1000"),
+        ("--readout-rate 1e-320", "readout_rate is 1e-320, but it must be a number from 0.001 to 1e+12"),
+        ("--gamma 1e-300", "gamma is 1e-300, but it must be from 0.1 to 10"),
         ("--optics=-1", "--optics is -1"),
         ("--bounds 1,0", "--bounds is 1,0, but it must be LOW,HIGH with LOW below HIGH"),
         ("--bounds 0", "--bounds is 0"),
+        ("--bounds 0,1e-300", "upper=1e-300; the lower bound has to be a number below the upper one"),
         ("--prior magic", "--prior"),
         ("--solver magic", "--solver"),
     ],
@@ -146,8 +158,9 @@ def test_gains_are_read_from_a_file(scsr, here, file, asked):
 def test_refused_before_it_starts(scsr, here, file, asked, options, message):
     np.save(here / "small.npy", np.zeros((2, 3)))
     np.save(here / "zeros.npy", np.zeros((HEIGHT, WIDTH)))
+    np.save(here / "fast.npy", np.full((2, HEIGHT, WIDTH), 1e39))
     assert message in scsr("solve", file, "-o", "a.png", *options.split(), code=2)
-    assert asked == [] and sorted(os.listdir(here)) == ["ramp.npz", "small.npy", "zeros.npy"]
+    assert asked == [] and sorted(os.listdir(here)) == ["fast.npy", "ramp.npz", "small.npy", "zeros.npy"]
 
 
 def test_a_solver_that_needs_a_smooth_prior_says_so(scsr, here, file):

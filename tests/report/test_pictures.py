@@ -76,7 +76,7 @@ def test_what_is_not_finite_is_never_written(tmp_path, value):
         ("a", {}, "its ending is 'missing'"),
         ("a.png", {"bits": 32}, r"32 bits per pixel cannot be stored in \.png: choose 8 or 16, or another ending"),
         ("a.npz", {"bits": 8}, r"8 bits per pixel cannot be stored in \.npz: choose 32"),
-        ("a.png", {"gamma": 0.0}, r"gamma is 0\.0, but it must be above 0"),
+        ("a.png", {"gamma": 0.0}, r"gamma is 0\.0, but it must be from 0\.1 to 10"),
         ("a.png", {"gamma": float("nan")}, "gamma is nan"),
         ("a.npz", {"gamma": 2.2}, "gamma is 2.2, but 32-bit pictures hold linear intensity"),
     ],

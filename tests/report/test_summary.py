@@ -55,6 +55,14 @@ def test_lines_for_a_reader(report):
     ]
 
 
+def test_lines_say_what_is_saturated(report):
+    told = dataclasses.replace(report, stats={**report.stats, "saturated": 0.0917}).lines()
+    (line,) = (line for line in told if line.startswith("Saturated"))
+    assert line.startswith("Saturated: 9.2 % of the pixels fired in 90 % of the frames or more") and "bound" in line
+    for share in ({}, {"saturated": 0.0}):
+        assert "aturated" not in " ".join(dataclasses.replace(report, stats={**report.stats, **share}).lines())
+
+
 def test_a_failed_solve_has_a_report_too(spikes, solution):
     failed = dataclasses.replace(
         solution, image=np.full((96, 160), np.nan, np.float32), result=Result.non_finite, motion=None, stages=()

@@ -1,0 +1,43 @@
+"""Pixels that saw more light than they can tell: one spike a frame is the most that is read out."""
+
+import numpy as np
+from jaxtyping import Bool, Int, Shaped
+
+SATURATED = 0.9
+"""Share of the frames in which a saturated pixel fires: it is as bright as can be measured, or brighter."""
+
+
+def spike_counts(spikes: Shaped[np.ndarray, "T h w"]) -> Int[np.ndarray, "h w"]:
+    """How often each pixel fired. Adding bytes takes a fraction of the time of `np.count_nonzero`."""
+    return np.add.reduce(spikes.astype(bool, copy=False).view(np.int8), axis=0, dtype=np.int32)
+
+
+def saturated(
+    count: Int[np.ndarray, "*shape"], frames: int, bad_pixels: Bool[np.ndarray, "*shape"] | None = None
+) -> Bool[np.ndarray, "*shape"]:
+    """Where what was seen is known from below only: pixels that fired in 90 % of the frames or more.
+
+    One spike of the count is the charge that was there before the first frame. Without it a pixel of intensity 1 that
+    happens to fire in all of a few frames would be called saturated; in under 10 frames none is.
+
+    **Arguments:** `count`: spikes of each pixel in so many `frames`; `bad_pixels`: true where they mean nothing.
+    """
+    many = count - 1 >= SATURATED * frames
+    return many if bad_pixels is None else many & ~bad_pixels
+
+
+def share_saturated(
+    count: Int[np.ndarray, "*shape"], frames: int, bad_pixels: Bool[np.ndarray, "*shape"] | None = None
+) -> float:
+    """The share of the pixels, without the bad ones, that are `saturated`; 0 if there are no others."""
+    good = count.size if bad_pixels is None else int(np.count_nonzero(~bad_pixels))
+    return int(np.count_nonzero(saturated(count, frames, bad_pixels))) / max(good, 1)
+
+
+def said_of(share: float) -> str:
+    """In words, for people, what a share of saturated pixels above 0 means."""
+    percent = f"{100 * share:.2g} %" if share >= 1e-3 else "under 0.1 %"
+    return (
+        f"{percent} of the pixels fired in {100 * SATURATED:g} % of the frames or more, and may have seen more light "
+        f"than they can tell: brightness there is a lower bound"
+    )

@@ -1,0 +1,49 @@
+"""An error of any kind as one sentence, as `scsr` says it."""
+
+import re
+
+from cyclopts import CycloptsError, MissingArgumentError, UnknownCommandError, UnusedCliTokensError
+
+from scsr_opt.errors import InputError
+
+# Where the parser begins another sentence.
+_NEXT = re.compile(r"[.?]\s+(Did you mean|Choose from|Only got|Got|Use|This option)\b")
+
+
+def sentence(error: Exception) -> str:
+    """What is wrong, for standard error."""
+    if isinstance(error, CycloptsError):
+        return _of_parser(error)
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}." if error.filename else f"{error.strerror}."
+    return f"{type(error).__name__}: {error} (a fault of the program; SCSR_TRACEBACK=1 shows where)"
+
+
+def _of_parser(error: CycloptsError) -> str:
+    command = " ".join(("scsr", *(error.command_chain or ())))
+    if isinstance(error, MissingArgumentError) and error.argument is not None and not error.argument.tokens:
+        name = " or ".join(error.argument.names)
+        if error.keyword is None:
+            # The parser's own sentence sounds as if the option were there and its value were not.
+            return f"{command} needs {name}, which is missing: {_clause(error)}."
+        wanted, _ = error.argument.token_count()
+        if wanted > 1:
+            found = len(error.tokens_so_far) % wanted
+            return f"{error.keyword} needs {wanted} values, but got {found}: {_clause(error)}."
+    if isinstance(error, UnknownCommandError) and error.unused_tokens and error.app is not None:
+        known = [name for name in error.app if not name.startswith("-")]
+        return f'Unknown command "{error.unused_tokens[0]}": choose from {", ".join(known)}.'
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        more = ", ".join(error.unused_tokens)
+        return f"{command} has no use for {more}: leave it out, or see {command} --help for what it takes."
+    return _NEXT.sub(lambda found: f"; {found[1].lower()}", str(error))
+
+
+def _clause(error: MissingArgumentError) -> str:
+    """What the option's help begins with."""
+    help = (error.argument.parameter.help if error.argument is not None else None) or "see --help"
+    return help.split(". ")[0].rstrip(".")

@@ -79,7 +79,8 @@ def reconstruct(
     - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording, or 0.6, if not given.
     - `velocity`: known motion at the key frame, (2, h, w) or two numbers, sensor pixels per frame ([0] down, [1]
       right); a `Motion`, with its layers; or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by
-      `Automatic` if not given.
+      `Automatic` if not given. Numbers are taken as they are, for straight paths and without edges: what one thing
+      hides of another is not left out, as it is with the layers of a `Motion`.
     - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
     - `samples`: what the Y_i are: `Intervals()` if not given, or `Windows(length)` of so many frames.
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from the recording: where the scene moves by a

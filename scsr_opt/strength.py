@@ -68,7 +68,7 @@ def relative_strength(prior: Prior) -> float:
     if found is None:
         raise InputError(
             f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; hand one in: "
-            "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-4."
+            "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-3."
         )
     return found
 

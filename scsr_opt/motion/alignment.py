@@ -74,7 +74,7 @@ def stretches(
     return Stretches(*(jnp.asarray(each, jnp.float32) for each in (rates, middle, firing, counted)))
 
 
-def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " n+1"]) -> Float[np.ndarray, "n h w"]:
+def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"]) -> Float[np.ndarray, "n h w"]:
     """Spikes per frame between whole frames near the edges."""
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)

@@ -57,6 +57,10 @@ _WORSE = 1.01
 _MARGIN, _STEP, _WORTH = 24, 16, 0.85
 
 
+# Bad pixels are heard where so large a share of those around them is good, by a Gaussian of so many sensor pixels.
+_FILLED_FROM, _FILLED_SHARE = 2.0, 0.2
+
+
 class Still(Estimator):
     """Nothing moves."""
 
@@ -272,7 +276,9 @@ def comparable(
         picture, counted = picture / over, counted / over
     if bad_pixels is not None and bad_pixels.any():
         good = ~bad_pixels
-        picture, firing, counted = filled(picture, good), filled(firing[None], good)[0], filled(counted, good)
+        # Where there are no good pixels around, nothing is heard: what is filled in there does not move.
+        some = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(_FILLED_FROM)) > _FILLED_SHARE
+        picture, firing, counted = filled(picture, good), filled(firing[None], good)[0] * some, filled(counted, good)
     return Stretches(picture, found.after, firing, counted)
 
 

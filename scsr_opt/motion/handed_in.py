@@ -56,7 +56,12 @@ def checked(motion: Motion, height: int, width: int) -> Motion:
         "acceleration": (motion.acceleration, (2, *picture)), "confidence": (motion.confidence, picture)
     }  # fmt: skip
     if motion.layers is not None:
-        layers, number = motion.layers, len(motion.layers.depth)
+        layers, number = motion.layers, np.size(motion.layers.depth)
+        if np.shape(layers.depth) != (number,) or not np.isfinite(layers.depth).all():
+            raise InputError(
+                f"velocity.layers.depth is {np.asarray(layers.depth).tolist()}; it must be one number a layer, the "
+                f"larger the nearer."
+            )
         fields = {"velocity": layers.velocity, "acceleration": layers.acceleration}
         wanted |= {f"layers.{name}": (field, (number, 2, *picture)) for name, field in fields.items()}
         wanted["layers.label"] = (layers.label, picture)
@@ -74,4 +79,11 @@ def checked(motion: Motion, height: int, width: int) -> Motion:
         raise InputError(
             f"velocity.layers.label holds other numbers than those of the {len(motion.layers.depth)} layers, from 0."
         )
+    if motion.layers is not None:
+        own = Motion.of_layers(motion.layers, motion.confidence)
+        if not np.allclose(own.velocity, motion.velocity) or not np.allclose(own.acceleration, motion.acceleration):
+            raise InputError(
+                "velocity.velocity or velocity.acceleration is not that of the layers which its labels name; make such "
+                "a motion by Motion.of_layers."
+            )
     return motion

@@ -2,8 +2,9 @@
 
     minimise over X of   Σ_j ω_j ρ(r_j·B X − Y_j) + λ Ψ(X)
 
-in the place of Eq. 4's square. Where motion or occlusion is wrong, a pixel that lies goes unnoticed, or the light
-flickers, squares let a few samples drag the picture far away. Solved by iterative reweighting (Holland & Welsch, 1977,
+in the place of Eq. 4's square. Where motion or occlusion is wrong in places, or a pixel that lies goes
+unnoticed, squares let a few samples drag the picture far away. (Flicker is no such case: all samples are then wrong by
+a little, and both losses do what squares do.) Solved by iterative reweighting (Holland & Welsch, 1977,
 "Robust regression using iteratively reweighted least-squares"): solve with squares and factors u_j on the weights, take
 u_j = ρ'(e_j) / e_j of the new residuals e_j, repeat. Each such step lowers the objective, because the square with these
 factors lies above ρ and touches it (ρ'(e)/e falls with |e|); for `Huber`, which is convex, that leads to the minimiser.

@@ -278,7 +278,8 @@ def comparable(
         good = ~bad_pixels
         # Where there are no good pixels around, nothing is heard: what is filled in there does not move.
         some = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(_FILLED_FROM)) > _FILLED_SHARE
-        picture, firing, counted = filled(picture, good), filled(firing[None], good)[0] * some, filled(counted, good)
+        picture, counted = filled(picture, good), filled(counted, good)
+        firing = jnp.where(some, filled(firing[None], good)[0], 0)
     return Stretches(picture, found.after, firing, counted)
 
 

@@ -65,7 +65,7 @@ def test_counts_tell_the_velocity_from_rest_and_from_what_is_far_too_fast(speed,
         return counts_agree(pictures, Motion.of_velocity(np.full((2, 100, 100), np.reshape(velocity, (2, 1, 1)))))
 
     assert agree((0.6 * speed, -0.8 * speed))
-    assert not agree((0.0, 0.0)) and not agree((1.2, 1.6)) and not agree((-0.6 * speed, 0.8 * speed))
+    assert not agree((0.0, 0.0)) and not agree((1.2, 1.6))
     still = seen(0.0, 101, white_rate)[1]
     assert not counts_agree(still, Motion.of_velocity(np.full((2, 100, 100), 0.1, np.float32)))
 

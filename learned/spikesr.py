@@ -33,11 +33,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
-from learned.encoder import PASE, check_blocks, check_branches, spike_blocks
+from learned.encoder import PASE, block_times, check_blocks, check_branches, spike_blocks
 from learned.fusion import Initialisation
 from learned.gradient import GradientModule
 from learned.layers import at_least_float32
 from learned.proximal import ProximalModule
+from learned.velocity import VelocityEstimator, base_moments, compensated, refined
 from scsr_opt.camera.recording import WHITE_RATE
 from scsr_opt.errors import InputError
 
@@ -63,6 +64,11 @@ class SpikeSRConfig:
     - `pase`, `gradient`, `alignment`, `proximal`: False leaves the part out (the paper's Table 2). Without the PASE the
       latent intensity is the block of spikes as it is, its frames as channels; without the gradient module R^(t) =
       X^(t−1); without alignment its deformable convolutions are plain; without the proximal module X^(t) = R^(t).
+    - `velocity_channels`: of the estimator of velocity (`learned.velocity`); 0: there is none, as in the paper. With
+      it X^(0) starts from `moments` short times brought to the key frame in the place of the plain firing rate, and
+      offsets from where the velocity says.
+    - `velocity_weight`: of the velocity's error in the training loss. The pictures do not teach it: at 0 the estimator
+      stays as it was before training.
 
     **Raises:** `InputError` for a value that is not allowed, with the name of its field.
     """
@@ -89,12 +95,18 @@ class SpikeSRConfig:
     gradient: bool = True
     alignment: bool = True
     proximal: bool = True
+    velocity_channels: int = 0
+    velocity_weight: float = 0.0
+    moments: int = 21
 
     def __post_init__(self):
         for name in ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale"):
             self._check(name, 1)
         for name in ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels"):
             self._check(name, 0)
+        for name in ("velocity_channels", "velocity_weight"):
+            self._check(name, 0)
+        check_blocks(self.moments, 3, 3)
         check_blocks(self.blocks, self.length, self.spacing)
         check_branches(self.branches)
         if self.scale % self.working_scale:
@@ -143,6 +155,22 @@ class Iterates(NamedTuple):
     images: Float[Array, "stages H W"]
 
 
+class Encoded(NamedTuple):
+    """What a network sees of a recording.
+
+    **Fields:**
+    - `latent`: Y_1 … Y_n (Eq. 3).
+    - `base`: what X^(0) starts from, intensity: the enlarged firing rate, or what `learned.velocity.compensated` makes.
+    - `guides`: with an estimator of velocity, where each block shows what the key frame does, sensor pixels.
+    - `velocity`: with it, sensor pixels per frame.
+    """
+
+    latent: Float[Array, "n C h w"]
+    base: Float[Array, "H W"]
+    guides: Float[Array, "n 2 h w"] | None
+    velocity: Float[Array, "2 h w"] | None
+
+
 class UnrolledStage(eqx.Module):
     """One iteration of Eq. 6: R^(t) = G(X^(t−1), Y), X^(t) = P(R^(t)). A module that is None is left out."""
 
@@ -170,10 +198,13 @@ class UnrolledStage(eqx.Module):
             self.proximal = ProximalModule(config.proximal_channels, config.proximal_blocks, folding, key=proximal)
 
     def __call__(
-        self, image: Float[Array, "H W"], latent: Float[Array, "n C h w"]
+        self,
+        image: Float[Array, "H W"],
+        latent: Float[Array, "n C h w"],
+        guides: Float[Array, "n 2 H_w W_w"] | None = None,
     ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-        """X^(t−1) and Y to R^(t) and X^(t)."""
-        step = image if self.gradient is None else self.gradient(image, latent)
+        """X^(t−1) and Y to R^(t) and X^(t); `guides` as of `GradientModule`."""
+        step = image if self.gradient is None else self.gradient(image, latent, guides)
         return step, step if self.proximal is None else self.proximal(step)
 
 
@@ -189,6 +220,7 @@ class SpikeSRNet(eqx.Module):
     """
 
     encoder: PASE | None
+    velocity: VelocityEstimator | None
     initialisation: Initialisation
     stages: UnrolledStage
     """All T stages in one, their weights stacked along a first axis (of length 1 where they are shared)."""
@@ -200,6 +232,10 @@ class SpikeSRNet(eqx.Module):
         if config.pase:
             channels, blocks = config.encoder_channels, config.encoder_blocks
             self.encoder = PASE(config.length, config.branches, channels, blocks, key=encoder)
+        self.velocity = None
+        if config.velocity_channels:
+            # A key of its own: the other weights are those of a network without.
+            self.velocity = VelocityEstimator(config.velocity_channels, key=jax.random.fold_in(key, 1))
         self.initialisation = Initialisation(
             _latent_channels(config),
             config.channels,
@@ -218,8 +254,8 @@ class SpikeSRNet(eqx.Module):
         spikes: Shaped[Array, "T h w"],
         key_frame: Int[Array, ""] | int,
         white_rate: Float[Array, ""] | float | int = WHITE_RATE,
-    ) -> tuple[Float[Array, "n C h w"], Float[Array, "h w"]]:
-        """Y_1 … Y_n (Eq. 3), and the firing rate of all blocks as intensity.
+    ) -> Encoded:
+        """All that is calculated once, before the first stage.
 
         **Raises:** as `spike_blocks`.
         """
@@ -231,13 +267,21 @@ class SpikeSRNet(eqx.Module):
         rate = jnp.mean(blocks, axis=(0, 1))
         blocks = blocks.astype(dtype)
         latent = blocks if self.encoder is None else jax.vmap(self.encoder)(blocks)
-        return latent, rate.astype(at_least_float32(dtype))
+        precise = at_least_float32(dtype)
+        if self.velocity is None:
+            rows, columns = (config.scale * size for size in rate.shape)
+            return Encoded(latent, jax.image.resize(rate.astype(precise), (rows, columns), "cubic"), None, None)
+        velocity = self.velocity(spikes, key_frame, white_rate)
+        # What the pictures say of the velocity is much less than what the simulator does, and dear.
+        seen = base_moments(spikes, key_frame, white_rate, config.moments)
+        known = refined(seen, jax.lax.stop_gradient(velocity))
+        times = block_times(spikes.shape[0], key_frame, config.blocks, config.length, config.spacing)
+        guides = jax.vmap(lambda time: time * known)(times)
+        return Encoded(latent, compensated(seen, known, config.scale).astype(precise), guides, velocity)
 
-    def initial(self, latent: Float[Array, "n C h w"], rate: Float[Array, "h w"]) -> Float[Array, "H W"]:
-        """X^(0): the enlarged firing rate (cubic) and what the motion-aligned fusion adds to it."""
-        rows, columns = (self.config.scale * size for size in rate.shape)
-        base = jax.image.resize(rate, (rows, columns), "cubic")
-        return base + self.initialisation(latent).astype(base.dtype)
+    def initial(self, seen: Encoded) -> Float[Array, "H W"]:
+        """X^(0): the base and what the motion-aligned fusion adds to it."""
+        return seen.base + self.initialisation(seen.latent, seen.guides).astype(seen.base.dtype)
 
     def stage(self, number: int) -> UnrolledStage:
         """Stage t, counted from 1 as in the paper.
@@ -266,19 +310,23 @@ class SpikeSRNet(eqx.Module):
 
         **Raises:** `InputError` if the recording is too short or `start` has another shape than the picture.
         """
-        latent, rate = self.encode(spikes, key_frame, white_rate)
+        return self.iterate(self.encode(spikes, key_frame, white_rate), start)
+
+    def iterate(self, seen: Encoded, start: Float[Array, "H W"] | None = None) -> Iterates:
+        """The stages alone. **Raises:** `InputError` if `start` has another shape than the picture."""
         if start is None:
-            start = self.initial(latent, rate)
-        elif start.shape != tuple(self.config.scale * size for size in rate.shape):
+            start = self.initial(seen)
+        elif start.shape != seen.base.shape:
             raise InputError(
                 f"The start has shape {start.shape}; for this recording at scale {self.config.scale} it must be "
-                f"{tuple(self.config.scale * size for size in rate.shape)}."
+                f"{seen.base.shape}."
             )
 
-        start = start.astype(rate.dtype)
+        start = start.astype(seen.base.dtype)
+        guides = self.working_guides(seen)
 
         def run(image: Float[Array, "H W"], weights: UnrolledStage) -> tuple[Float[Array, "H W"], Iterates]:
-            step, image = weights(image, latent)
+            step, image = weights(image, seen.latent, guides)
             return image, Iterates(step, image)
 
         if self.config.rematerialise:
@@ -288,6 +336,14 @@ class SpikeSRNet(eqx.Module):
             shared = self.stage(1)
             return jax.lax.scan(lambda x, _: run(x, shared), start, length=self.config.stages, unroll=True)[1]
         return jax.lax.scan(run, start, self.stages, unroll=True)[1]
+
+    def working_guides(self, seen: Encoded) -> Float[Array, "n 2 H_w W_w"] | None:
+        """The guides in pixels of the features of the gradient modules."""
+        factor = self.config.working_scale
+        if seen.guides is None or factor == 1:
+            return seen.guides
+        n, _, rows, columns = seen.guides.shape
+        return factor * jax.image.resize(seen.guides, (n, 2, factor * rows, factor * columns), "linear")
 
 
 def _latent_channels(config: SpikeSRConfig) -> int:

@@ -36,7 +36,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 from learned.encoder import PASE, block_times, check_blocks, check_branches, spike_blocks
 from learned.fusion import Initialisation
 from learned.gradient import GradientModule
-from learned.layers import at_least_float32
+from learned.layers import at_least_float32, convolution, leaky
 from learned.proximal import ProximalModule
 from learned.velocity import VelocityEstimator, base_moments, compensated, refined
 from scsr_opt.camera.recording import WHITE_RATE
@@ -67,6 +67,8 @@ class SpikeSRConfig:
     - `velocity_channels`: of the estimator of velocity (`learned.velocity`); 0: there is none, as in the paper. With
       it X^(0) starts from `moments` short times brought to the key frame in the place of the plain firing rate, and
       offsets from where the velocity says.
+    - `deblur_channels`: with it, of the layers at the picture's resolution that sharpen what X^(0) starts from
+      (`Deblurring`); 0: there are none.
     - `velocity_weight`: of the velocity's error in the training loss. The pictures do not teach it: at 0 the estimator
       stays as it was before training.
 
@@ -98,13 +100,14 @@ class SpikeSRConfig:
     velocity_channels: int = 0
     velocity_weight: float = 0.0
     moments: int = 21
+    deblur_channels: int = 0
 
     def __post_init__(self):
         for name in ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale"):
             self._check(name, 1)
         for name in ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels"):
             self._check(name, 0)
-        for name in ("velocity_channels", "velocity_weight"):
+        for name in ("velocity_channels", "velocity_weight", "deblur_channels"):
             self._check(name, 0)
         check_blocks(self.moments, 3, 3)
         check_blocks(self.blocks, self.length, self.spacing)
@@ -171,6 +174,29 @@ class Encoded(NamedTuple):
     velocity: Float[Array, "2 h w"] | None
 
 
+class Deblurring(eqx.Module):
+    """What the pixels' aperture and the interpolation have blurred, sharpened: x + conv(leaky(conv(leaky(conv(x))))).
+
+    The blur is the same at every pixel of the picture, where moments have been brought together. The other modules see
+    s×s pixels as channels of one and would have to learn the same for each of them. It reaches 6 pixels each way, and
+    starts as no change.
+    """
+
+    first: eqx.nn.Conv2d
+    second: eqx.nn.Conv2d
+    output: eqx.nn.Conv2d
+
+    def __init__(self, channels: int, *, key: PRNGKeyArray):
+        first, second, output = jax.random.split(key, 3)
+        self.first = convolution(1, channels, size=7, key=first)
+        self.second = convolution(channels, channels, size=5, key=second)
+        self.output = convolution(channels, 1, shrink=0, key=output)
+
+    def __call__(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        seen = leaky(self.first(image[None].astype(self.first.weight.dtype)))
+        return image + self.output(leaky(self.second(seen)))[0].astype(image.dtype)
+
+
 class UnrolledStage(eqx.Module):
     """One iteration of Eq. 6: R^(t) = G(X^(t−1), Y), X^(t) = P(R^(t)). A module that is None is left out."""
 
@@ -221,6 +247,7 @@ class SpikeSRNet(eqx.Module):
 
     encoder: PASE | None
     velocity: VelocityEstimator | None
+    deblurring: Deblurring | None
     initialisation: Initialisation
     stages: UnrolledStage
     """All T stages in one, their weights stacked along a first axis (of length 1 where they are shared)."""
@@ -232,7 +259,9 @@ class SpikeSRNet(eqx.Module):
         if config.pase:
             channels, blocks = config.encoder_channels, config.encoder_blocks
             self.encoder = PASE(config.length, config.branches, channels, blocks, key=encoder)
-        self.velocity = None
+        self.velocity = self.deblurring = None
+        if config.deblur_channels:
+            self.deblurring = Deblurring(config.deblur_channels, key=jax.random.fold_in(key, 2))
         if config.velocity_channels:
             # A key of its own: the other weights are those of a network without.
             self.velocity = VelocityEstimator(config.velocity_channels, key=jax.random.fold_in(key, 1))
@@ -280,8 +309,9 @@ class SpikeSRNet(eqx.Module):
         return Encoded(latent, compensated(seen, known, config.scale).astype(precise), guides, velocity)
 
     def initial(self, seen: Encoded) -> Float[Array, "H W"]:
-        """X^(0): the base and what the motion-aligned fusion adds to it."""
-        return seen.base + self.initialisation(seen.latent, seen.guides).astype(seen.base.dtype)
+        """X^(0): the base, sharpened where there is `deblurring`, and what the motion-aligned fusion adds to it."""
+        base = seen.base if self.deblurring is None else self.deblurring(seen.base)
+        return base + self.initialisation(seen.latent, seen.guides).astype(base.dtype)
 
     def stage(self, number: int) -> UnrolledStage:
         """Stage t, counted from 1 as in the paper.

@@ -69,8 +69,37 @@ def base_moments(
     white_rate: Float[Array, ""] | float | int,
     count: int,
 ) -> Moments:
-    """What `compensated` enlarges: moments of 3 frames, short enough that nothing moves by a pixel in one."""
-    return moments(spikes, key_frame, white_rate, count=count, length=3, spacing=3)
+    """What `compensated` enlarges: moments of 3 frames, from the intervals between spikes.
+
+    A count over 3 frames is wrong by up to a spike, and where things move the errors of neighbouring moments, read from
+    other pixels, no longer cancel. An interval is wrong by a frame at either end only.
+    """
+    rates = interval_rates(spikes) / jnp.asarray(white_rate, jnp.float32)
+    seen = moments(spikes, key_frame, white_rate, count=count, length=3, spacing=3)
+    return seen._replace(rates=jnp.mean(spike_blocks(rates, key_frame, count, 3, 3), axis=1))
+
+
+def interval_rates(spikes: Shaped[Array, "T h w"]) -> Float[Array, "T h w"]:
+    """1/n in each frame of an interval of n frames between two spikes of a pixel: spikes per frame.
+
+    The intervals that the recording's ends cut are taken as long as what is seen of them, and at least as long as the
+    next whole one.
+    """
+    frames = spikes.shape[0]
+    number = jnp.arange(frames, dtype=jnp.int32)[:, None, None]
+    fired = spikes != 0
+    upto = jax.lax.cummax(jnp.where(fired, number, -1), axis=0)
+    before = jnp.concatenate([jnp.full_like(upto[:1], -1), upto[:-1]])
+    after = jax.lax.cummin(jnp.where(fired, number, frames), axis=0, reverse=True)
+    first, last = after[0], upto[-1]
+    second = jnp.take_along_axis(after, jnp.minimum(first + 1, frames - 1)[None], axis=0)[0]
+    last_but_one = jnp.take_along_axis(before, jnp.maximum(last, 0)[None], axis=0)[0]
+    at_start = jnp.where((second < frames) & (second > first), second - first, 0)
+    at_end = jnp.where(last_but_one >= 0, last - last_but_one, 0)
+    length = after - before
+    length = jnp.where(before < 0, jnp.maximum(length, at_start[None]), length)
+    length = jnp.where(after == frames, jnp.maximum(length, at_end[None]), length)
+    return 1 / length.astype(jnp.float32)
 
 
 class VelocityEstimator(eqx.Module):

@@ -18,6 +18,7 @@ from learned.velocity import (
     VelocityNet,
     base_moments,
     compensated,
+    interval_rates,
     moments,
     refined,
     velocity_loss,
@@ -95,6 +96,24 @@ def test_what_has_left_the_sensor_is_left_out():
     np.testing.assert_array_equal(found[3:], 0)
 
 
+def test_intervals_by_hand():
+    spikes = np.zeros((10, 1, 5), np.uint8)
+    for pixel, frames in enumerate(([2, 5, 9], [4], [], range(10), [0, 1, 7])):
+        spikes[list(frames), 0, pixel] = 1
+    lengths = [
+        [3, 3, 3, 3, 3, 3, 4, 4, 4, 4],
+        [5, 5, 5, 5, 5, 6, 6, 6, 6, 6],  # one spike: what is seen on either side of it
+        [11] * 10,
+        [1] * 10,
+        [1, 1, 6, 6, 6, 6, 6, 6, 6, 6],  # the last one is at least as long as the one before
+    ]
+    found = interval_rates(jnp.asarray(spikes))
+    np.testing.assert_allclose(1 / np.asarray(found)[:, 0].T, lengths, rtol=1e-6)
+    seen = base_moments(jnp.asarray(spikes), 4, 0.5, 3)
+    np.testing.assert_allclose(seen.rates[:, 0, 0], [2 / 3, 2 / 3, (1 / 3 + 1 / 2) / 1.5], rtol=1e-6)
+    assert seen.times.tolist() == [-3, 0, 3]
+
+
 def test_times_follow_the_blocks():
     assert block_times(41, 20, 5, 13, 7).tolist() == [-14, -7, 0, 7, 14]
     assert block_times(41, 2, 3, 5, 4).tolist() == [0, 0, 4]  # moved inwards where the recording begins
@@ -161,10 +180,10 @@ SIZES = dict(
 
 def test_pictures_do_not_teach_the_velocity_and_the_rest_is_the_same_network():
     plain = SpikeSRConfig.small(2, **SIZES)
-    guided = dataclasses.replace(plain, velocity_channels=2)
+    guided = dataclasses.replace(plain, velocity_channels=2, deblur_channels=2)
     build = eqx.filter_jit(lambda config: SpikeSRNet(config, key=jax.random.key(0, impl="unsafe_rbg")))
     nets = [build(config) for config in (plain, guided)]
-    other = eqx.tree_at(lambda n: n.velocity, nets[1], None)
+    other = eqx.tree_at(lambda n: (n.velocity, n.deblurring), nets[1], (None, None))
     assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(other), jax.tree.leaves(nets[0]), strict=True))
     spikes = jnp.asarray(np.random.default_rng(0).random((9, 8, 9)) < 0.4)
 
@@ -177,7 +196,9 @@ def test_pictures_do_not_teach_the_velocity_and_the_rest_is_the_same_network():
 
     found = slopes(nets[1])
     assert not any(leaf.any() for leaf in jax.tree.leaves(found.velocity))
-    assert found.initialisation.align.mix.weight.any()
+    assert found.initialisation.align.mix.weight.any() and found.deblurring.output.weight.any()
+    seen = nets[1].encode(spikes, 4, 0.6)
+    np.testing.assert_array_equal(nets[1].deblurring(seen.base), seen.base)  # it starts as no change
 
 
 def test_sizes_that_cannot_be():

@@ -23,6 +23,11 @@ kernel predictor, the loss, and no other size. The measure for the rest are the 
 What light there is does not matter to the network: it sees the spikes divided by `white_rate`, whose mean over time is
 intensity. X^(0) is the enlarged firing rate of all blocks plus what the initialisation adds, and the modules only ever
 add to a picture.
+
+**What is added to the paper's.** With `velocity_channels` the network has an estimate of velocity that is taught the
+true motion of simulated scenes (`learned.velocity`, 0.05 M parameters). Offsets then start from where it says, and
+X^(0) from spike intervals read along the tracks; with `deblur_channels` that is sharpened first. The shipped `small`
+ones have both: where the scene moves, offsets that only the picture's loss teaches stay far from the motion.
 """
 
 import dataclasses

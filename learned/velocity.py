@@ -87,7 +87,7 @@ def interval_rates(spikes: Shaped[Array, "T h w"]) -> Float[Array, "T h w"]:
     """
     frames = spikes.shape[0]
     number = jnp.arange(frames, dtype=jnp.int32)[:, None, None]
-    fired = spikes != 0
+    fired = spikes.astype(bool)
     upto = jax.lax.cummax(jnp.where(fired, number, -1), axis=0)
     before = jnp.concatenate([jnp.full_like(upto[:1], -1), upto[:-1]])
     after = jax.lax.cummin(jnp.where(fired, number, frames), axis=0, reverse=True)

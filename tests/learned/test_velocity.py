@@ -110,7 +110,7 @@ def test_intervals_by_hand():
     found = interval_rates(jnp.asarray(spikes))
     np.testing.assert_allclose(1 / np.asarray(found)[:, 0].T, lengths, rtol=1e-6)
     seen = base_moments(jnp.asarray(spikes), 4, 0.5, 3)
-    np.testing.assert_allclose(seen.rates[:, 0, 0], [2 / 3, 2 / 3, (1 / 3 + 1 / 2) / 1.5], rtol=1e-6)
+    np.testing.assert_allclose(seen.rates[:, 0, 0], [2 / 3, 2 / 3, 1 / 2], rtol=1e-6)
     assert seen.times.tolist() == [-3, 0, 3]
 
 

@@ -198,7 +198,9 @@ def test_pictures_do_not_teach_the_velocity_and_the_rest_is_the_same_network():
     assert not any(leaf.any() for leaf in jax.tree.leaves(found.velocity))
     assert found.initialisation.align.mix.weight.any() and found.deblurring.output.weight.any()
     seen = nets[1].encode(spikes, 4, 0.6)
-    np.testing.assert_array_equal(nets[1].deblurring(seen.base), seen.base)  # it starts as no change
+    sharpen = nets[1].deblurring
+    assert sharpen is not None
+    np.testing.assert_array_equal(sharpen(seen.base), seen.base)  # it starts as no change
 
 
 def test_sizes_that_cannot_be():

@@ -247,12 +247,20 @@ class Align(eqx.Module):
         self.predictor = OffsetPredictor(channels, groups, levels, key=predictor) if deform else None
         self.kernel = convolution(channels, channels, key=kernel)
 
-    def __call__(self, *features: Float[Array, "_ h w"]) -> Float[Array, "c h w"]:
-        """**Arguments:** what is to be concatenated, `inputs` channels in all."""
+    def __call__(
+        self, *features: Float[Array, "_ h w"], guide: Float[Array, "2 h w"] | None = None
+    ) -> Float[Array, "c h w"]:
+        """**Arguments:**
+        - `features`: what is to be concatenated, `inputs` channels in all.
+        - `guide`: where each pixel is to be read by what is known of the motion, down and right, in pixels away from
+          it; the predicted offsets are then what is to be added. None: nothing is known.
+        """
         mixed = leaky(self.mix(jnp.concatenate(features)))
         if self.predictor is None:
             return leaky(self.kernel(mixed))
         offset, mask = self.predictor(mixed)
+        if guide is not None:
+            offset = offset + jnp.tile(guide.astype(offset.dtype), (offset.shape[0] // 2, 1, 1))
         bias = None if self.kernel.bias is None else self.kernel.bias.reshape(-1)
         padding = math.isqrt(_TAPS) // 2
         return leaky(deformable_convolution(mixed, offset, mask, self.kernel.weight, bias, padding=padding))

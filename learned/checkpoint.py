@@ -25,6 +25,8 @@ from scsr_opt.report.files import whole_file
 
 FORMAT = 1
 """Of the file; a reader refuses others."""
+SHIPPED = Path(__file__).parent / "checkpoints"
+"""Where the shipped weights are."""
 LARGEST = 20_000_000
 """Bytes: what a shipped checkpoint may take."""
 
@@ -100,6 +102,40 @@ def load(
         like = eqx.filter_eval_shape(built.build, jax.random.key(0))
     stored = _cast(like, jnp.float32, jnp.float16) if card.precision == "float16" else like
     return _cast(unpacked(path, payload, stored), jnp.float16, jnp.float32), card
+
+
+def grafted(model: Any, name: str) -> tuple[Any, Card]:
+    """`model` with the weights of a file in the place of its own wherever the file has some, and the file's card.
+
+    A part of a network (`learned.velocity.VelocityNet`) has a place in it of the same name, and is the same at every
+    scale; the rest of the network keeps its weights.
+
+    **Arguments:** `name`: of shipped weights, for example `spikesr_small_x4`, or the path of a .scsr file.
+
+    **Raises:** `InputError` as `load`, or if the file has weights for which the model has no place.
+    """
+    shipped = SHIPPED / f"{name}.scsr"
+    path = shipped if shipped.is_file() else Path(name)
+    given, card = load(path)
+    theirs = {jax.tree_util.keystr(place): leaf for place, leaf in _weights(given)}
+    mine = {jax.tree_util.keystr(place): leaf for place, leaf in _weights(model)}
+    for place, leaf in theirs.items():
+        if place not in mine or mine[place].shape != leaf.shape:
+            found = f"of shape {mine[place].shape}" if place in mine else "nothing"
+            raise InputError(
+                f"{path} has weights {place} of shape {leaf.shape}, for which the network to be trained has {found}: "
+                f"start from a file of the same scale and sizes."
+            )
+
+    def chosen(place: Any, leaf: Any) -> Any:
+        found = theirs.get(jax.tree_util.keystr(place)) if eqx.is_inexact_array(leaf) else None
+        return leaf if found is None else jnp.asarray(found, leaf.dtype)
+
+    return jax.tree_util.tree_map_with_path(chosen, model), card
+
+
+def _weights(model: Any) -> list[tuple[Any, Any]]:
+    return jax.tree_util.tree_leaves_with_path(eqx.filter(model, eqx.is_inexact_array))
 
 
 def check_same(path: str | os.PathLike[str], found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:

@@ -51,11 +51,14 @@ class Example(NamedTuple):
     - `spikes`: (T, h, w) uint8, 0 and 1; the key frame is T // 2.
     - `truth`: (s·h, s·w) float32, the picture of the key frame, intensity 1 = white.
     - `white_rate`: float32, spikes per frame of intensity 1.
+    - `velocity`: (2, h, w) float32, of what each sensor pixel sees in the key frame, down and right, sensor pixels per
+      frame; NaN where the scene's motion is not known (`video`).
     """
 
     spikes: Any
     truth: Any
     white_rate: Any
+    velocity: Any
 
 
 @dataclass(frozen=True)
@@ -135,10 +138,12 @@ class Examples:
         sensor = _sensor(self.lights[rng.integers(len(self.lights))], rng if self.varied else None)
         recorded = simulate(scene, scale=self.scale, frames=self.frames, sensor=sensor, seed=int(rng.integers(2**32)))
         spikes, truth = recorded.spikes, recorded.truth(float(self.frames // 2)).astype(np.float32)
+        velocity = _seen_velocity(scene, self.scale, self.patch)
         if self.varied:
             turns, flipped = int(rng.integers(4)), bool(rng.integers(2))
             spikes, truth = _turned(spikes, turns, flipped), _turned(truth, turns, flipped)
-        return Example(spikes, truth, np.float32(recorded.white_rate))
+            velocity = turned_field(velocity, turns, flipped)
+        return Example(spikes, truth, np.float32(recorded.white_rate), velocity)
 
     def _scene(self, kind: str, rng: np.random.Generator) -> Scene:
         side, key = self.patch * self.scale, float(self.frames // 2)
@@ -302,6 +307,24 @@ def _turned(array: Any, turns: int, flipped: bool) -> Any:
     """The last two axes turned by 90° so many times, then flipped left to right."""
     turned = np.rot90(array, turns, axes=(-2, -1))
     return np.ascontiguousarray(turned[..., ::-1] if flipped else turned)
+
+
+def turned_field(field: Float[np.ndarray, "2 h w"], turns: int, flipped: bool) -> Float[np.ndarray, "2 h w"]:
+    """A field of directions, down and right, in a picture that is turned like this: its arrows turn with it."""
+    down, right = _turned(field, turns, flipped)
+    for _ in range(turns % 4):  # a quarter turn against the clock: what went right goes up, what went down goes right
+        down, right = -right, down
+    return np.stack([down, -right if flipped else right])
+
+
+def _seen_velocity(scene: Scene, scale: int, patch: int) -> Float[np.ndarray, "2 h w"]:
+    """Velocity in the key frame in the mean over each sensor pixel, sensor pixels per frame; NaN if it is not known."""
+    try:
+        velocity = scene.velocity(scene.key)
+    except InputError:
+        return np.full((2, patch, patch), np.nan, np.float32)
+    means = velocity.reshape(2, patch, scale, patch, scale).mean((2, 4))
+    return (means / scale).astype(np.float32)
 
 
 def _files(folder: Path) -> tuple[str, ...]:

@@ -42,10 +42,23 @@ def spike_blocks(
         )
     if isinstance(key_frame, int) and not 0 <= key_frame < frames:
         raise InputError(f"The key frame is {key_frame}; in a recording of {frames} frames it is 0 to {frames - 1}.")
+    starts = _starts(frames, key_frame, blocks, length, spacing)
+    return jax.vmap(lambda start: jax.lax.dynamic_slice_in_dim(spikes, start, length))(starts)
+
+
+def block_times(
+    frames: int, key_frame: Int[Array, ""] | int, blocks: int, length: int, spacing: int
+) -> Float[Array, " n"]:
+    """The middles of the blocks that `spike_blocks` takes from so many frames, in frames after the key frame."""
+    middles = _starts(frames, key_frame, blocks, length, spacing).astype(jnp.float32) + (length - 1) / 2
+    return middles - jnp.asarray(key_frame, jnp.float32)
+
+
+def _starts(frames: int, key_frame: Int[Array, ""] | int, blocks: int, length: int, spacing: int) -> Int[Array, " n"]:
+    """The first frame of each block."""
     away = spacing * (jnp.arange(blocks, dtype=jnp.int32) - blocks // 2)
     starts = jnp.asarray(key_frame, jnp.int32) - length // 2 + away
-    starts = jnp.clip(starts, 0, frames - length)
-    return jax.vmap(lambda start: jax.lax.dynamic_slice_in_dim(spikes, start, length))(starts)
+    return jnp.clip(starts, 0, frames - length)
 
 
 def check_blocks(blocks: int, length: int, spacing: int) -> None:

@@ -99,9 +99,14 @@ class Initialisation(eqx.Module):
         self.output = convolution(2 * channels, scale**2, shrink=0.1, key=output)
         self.scale = scale
 
-    def __call__(self, latent: Float[Array, "n C h w"]) -> Float[Array, "H W"]:
-        """**Returns:** what is to be added to the enlarged firing rate, intensity."""
+    def __call__(
+        self, latent: Float[Array, "n C h w"], guides: Float[Array, "n 2 h w"] | None = None
+    ) -> Float[Array, "H W"]:
+        """**Arguments:** `guides`: where each moment shows what the key frame does (`Align`).
+
+        **Returns:** what is to be added to the enlarged firing rate, intensity.
+        """
         middle = latent.shape[0] // 2
         features = jax.vmap(self.entry)(latent)
-        aligned = jax.vmap(lambda moment: self.align(moment, features[middle]))(features)
+        aligned = jax.vmap(lambda moment, guide: self.align(moment, features[middle], guide=guide))(features, guides)
         return unfold(self.output(self.fusion(aligned, middle)), self.scale)[0]

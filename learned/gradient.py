@@ -72,18 +72,29 @@ class GradientModule(eqx.Module):
         self.fusion = BidirectionalFusion(channels, channels, key=keys[7])
         self.output = convolution(2 * channels, picture, shrink=0.1, key=keys[8])
 
-    def __call__(self, image: Float[Array, "H W"], latent: Float[Array, "n C h w"]) -> Float[Array, "H W"]:
-        """**Arguments:** `image`: X^(t−1), intensity; `latent`: Y_1 … Y_n, the middle one of the key frame.
+    def __call__(
+        self,
+        image: Float[Array, "H W"],
+        latent: Float[Array, "n C h w"],
+        guides: Float[Array, "n 2 H_w W_w"] | None = None,
+    ) -> Float[Array, "H W"]:
+        """**Arguments:**
+        - `image`: X^(t−1), intensity.
+        - `latent`: Y_1 … Y_n, the middle one of the key frame.
+        - `guides`: where each moment shows what the key frame does, in pixels of the features (`Align`). The way forth
+          is the way back reversed, as what is near moves alike.
 
         **Returns:** R^(t), intensity.
         """
         folded = fold(image[None].astype(latent.dtype), self.folding)
 
-        def gradient(measured: Float[Array, "C h w"]) -> Float[Array, "c H_w W_w"]:
-            aligned = self.forth(folded, self.up(measured))
+        def gradient(
+            measured: Float[Array, "C h w"], guide: Float[Array, "2 H_w W_w"] | None
+        ) -> Float[Array, "c H_w W_w"]:
+            aligned = self.forth(folded, self.up(measured), guide=None if guide is None else -guide)
             seen = self.down(self.degradation(aligned))
             residual = self.refinement(self.residual_up(seen - measured))
-            return self.back(residual, folded)
+            return self.back(residual, folded, guide=guide)
 
-        fused = self.fusion(jax.vmap(gradient)(latent), latent.shape[0] // 2)
+        fused = self.fusion(jax.vmap(gradient)(latent, guides), latent.shape[0] // 2)
         return image - unfold(self.output(fused), self.folding)[0].astype(image.dtype)

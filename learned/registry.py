@@ -64,6 +64,7 @@ def trainable(model: str, scale: int, network: Mapping[str, Any]) -> Trainable:
 
 def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
     from learned.spikesr import SpikeSRConfig, SpikeSRNet, spikesr_loss
+    from learned.velocity import velocity_loss
 
     sizes = dict(network)
     named = {"small": SpikeSRConfig.small, "full": SpikeSRConfig.full}
@@ -73,13 +74,34 @@ def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
     config = _replaced(named[size](scale), sizes, "size")
 
     def loss(model: Any, example: Example) -> Float[Array, ""]:
-        key_frame = example.spikes.shape[0] // 2
-        return spikesr_loss(model(example.spikes, key_frame, example.white_rate).images, example.truth)
+        seen = model.encode(example.spikes, example.spikes.shape[0] // 2, example.white_rate)
+        found = spikesr_loss(model.iterate(seen).images, example.truth)
+        if not config.velocity_channels or not config.velocity_weight:
+            return found
+        return found + config.velocity_weight * velocity_loss(seen.velocity, example.velocity)
 
     def picture(model: Any, spikes: UInt8[Array, "T h w"], white_rate: Float[Array, ""]) -> Float[Array, "H W"]:
         return model(spikes, spikes.shape[0] // 2, white_rate).images[-1]
 
     return Trainable(lambda key: SpikeSRNet(config, key=key), loss, picture)
+
+
+def _velocity(scale: int, network: Mapping[str, Any]) -> Trainable:
+    from learned.velocity import VelocityConfig, VelocityNet, base_moments, compensated, refined, velocity_loss
+
+    config = _replaced(VelocityConfig(), network)
+
+    def estimate(model: Any, spikes: Any, white_rate: Any) -> Float[Array, "2 h w"]:
+        return model.velocity(spikes, spikes.shape[0] // 2, white_rate)
+
+    def loss(model: Any, example: Example) -> Float[Array, ""]:
+        return velocity_loss(estimate(model, example.spikes, example.white_rate), example.velocity)
+
+    def picture(model: Any, spikes: UInt8[Array, "T h w"], white_rate: Float[Array, ""]) -> Float[Array, "H W"]:
+        seen = base_moments(spikes, spikes.shape[0] // 2, white_rate, config.moments)
+        return compensated(seen, refined(seen, estimate(model, spikes, white_rate)), scale)
+
+    return Trainable(lambda key: VelocityNet(config.channels, key=key), loss, picture)
 
 
 def _unrolled(scale: int, network: Mapping[str, Any]) -> Trainable:
@@ -145,6 +167,7 @@ def _on_inputs(
 
 
 MODELS["spikesr"] = _spikesr
+MODELS["velocity"] = _velocity
 MODELS["unrolled"] = _unrolled
 MODELS["unrolled_pase"] = _unrolled_pase
 

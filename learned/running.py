@@ -73,7 +73,7 @@ def _spikesr(
 ) -> Run:
     if start is None:
         # What is calculated here and again in the call is the same to the compiler, which does it once.
-        start = net.initial(*net.encode(spikes, key_frame, white_rate))
+        start = net.initial(net.encode(spikes, key_frame, white_rate))
     return Run(start, *net(spikes, key_frame, white_rate, start))
 
 

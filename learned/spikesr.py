@@ -23,6 +23,11 @@ kernel predictor, the loss, and no other size. The measure for the rest are the 
 What light there is does not matter to the network: it sees the spikes divided by `white_rate`, whose mean over time is
 intensity. X^(0) is the enlarged firing rate of all blocks plus what the initialisation adds, and the modules only ever
 add to a picture.
+
+**What is added to the paper's.** With `velocity_channels` the network has an estimate of velocity that is taught the
+true motion of simulated scenes (`learned.velocity`, 0.05 M parameters). Offsets then start from where it says, and
+X^(0) from spike intervals read along the tracks; with `deblur_channels` that is sharpened first. The shipped `small`
+ones have both: where the scene moves, offsets that only the picture's loss teaches stay far from the motion.
 """
 
 import dataclasses
@@ -33,11 +38,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
-from learned.encoder import PASE, check_blocks, check_branches, spike_blocks
+from learned.encoder import PASE, block_times, check_blocks, check_branches, spike_blocks
 from learned.fusion import Initialisation
 from learned.gradient import GradientModule
-from learned.layers import at_least_float32
+from learned.layers import at_least_float32, convolution, leaky
 from learned.proximal import ProximalModule
+from learned.velocity import VelocityEstimator, base_moments, compensated, refined
 from scsr_opt.camera.recording import WHITE_RATE
 from scsr_opt.errors import InputError
 
@@ -63,6 +69,13 @@ class SpikeSRConfig:
     - `pase`, `gradient`, `alignment`, `proximal`: False leaves the part out (the paper's Table 2). Without the PASE the
       latent intensity is the block of spikes as it is, its frames as channels; without the gradient module R^(t) =
       X^(t−1); without alignment its deformable convolutions are plain; without the proximal module X^(t) = R^(t).
+    - `velocity_channels`: of the estimator of velocity (`learned.velocity`); 0: there is none, as in the paper. With
+      it X^(0) starts from `moments` short times brought to the key frame in the place of the plain firing rate, and
+      offsets from where the velocity says.
+    - `deblur_channels`: with it, of the layers at the picture's resolution that sharpen what X^(0) starts from
+      (`Deblurring`); 0: there are none.
+    - `velocity_weight`: of the velocity's error in the training loss. The pictures do not teach it: at 0 the estimator
+      stays as it was before training.
 
     **Raises:** `InputError` for a value that is not allowed, with the name of its field.
     """
@@ -89,12 +102,19 @@ class SpikeSRConfig:
     gradient: bool = True
     alignment: bool = True
     proximal: bool = True
+    velocity_channels: int = 0
+    velocity_weight: float = 0.0
+    moments: int = 21
+    deblur_channels: int = 0
 
     def __post_init__(self):
         for name in ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale"):
             self._check(name, 1)
         for name in ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels"):
             self._check(name, 0)
+        for name in ("velocity_channels", "velocity_weight", "deblur_channels"):
+            self._check(name, 0)
+        check_blocks(self.moments, 3, 3)
         check_blocks(self.blocks, self.length, self.spacing)
         check_branches(self.branches)
         if self.scale % self.working_scale:
@@ -143,6 +163,45 @@ class Iterates(NamedTuple):
     images: Float[Array, "stages H W"]
 
 
+class Encoded(NamedTuple):
+    """What a network sees of a recording.
+
+    **Fields:**
+    - `latent`: Y_1 … Y_n (Eq. 3).
+    - `base`: what X^(0) starts from, intensity: the enlarged firing rate, or what `learned.velocity.compensated` makes.
+    - `guides`: with an estimator of velocity, where each block shows what the key frame does, sensor pixels.
+    - `velocity`: with it, sensor pixels per frame.
+    """
+
+    latent: Float[Array, "n C h w"]
+    base: Float[Array, "H W"]
+    guides: Float[Array, "n 2 h w"] | None
+    velocity: Float[Array, "2 h w"] | None
+
+
+class Deblurring(eqx.Module):
+    """What the pixels' aperture and the interpolation have blurred, sharpened: x + conv(leaky(conv(leaky(conv(x))))).
+
+    The blur is the same at every pixel of the picture, where moments have been brought together. The other modules see
+    s×s pixels as channels of one and would have to learn the same for each of them. It reaches 6 pixels each way, and
+    starts as no change.
+    """
+
+    first: eqx.nn.Conv2d
+    second: eqx.nn.Conv2d
+    output: eqx.nn.Conv2d
+
+    def __init__(self, channels: int, *, key: PRNGKeyArray):
+        first, second, output = jax.random.split(key, 3)
+        self.first = convolution(1, channels, size=7, key=first)
+        self.second = convolution(channels, channels, size=5, key=second)
+        self.output = convolution(channels, 1, shrink=0, key=output)
+
+    def __call__(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        seen = leaky(self.first(image[None].astype(self.first.weight.dtype)))
+        return image + self.output(leaky(self.second(seen)))[0].astype(image.dtype)
+
+
 class UnrolledStage(eqx.Module):
     """One iteration of Eq. 6: R^(t) = G(X^(t−1), Y), X^(t) = P(R^(t)). A module that is None is left out."""
 
@@ -170,10 +229,13 @@ class UnrolledStage(eqx.Module):
             self.proximal = ProximalModule(config.proximal_channels, config.proximal_blocks, folding, key=proximal)
 
     def __call__(
-        self, image: Float[Array, "H W"], latent: Float[Array, "n C h w"]
+        self,
+        image: Float[Array, "H W"],
+        latent: Float[Array, "n C h w"],
+        guides: Float[Array, "n 2 H_w W_w"] | None = None,
     ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-        """X^(t−1) and Y to R^(t) and X^(t)."""
-        step = image if self.gradient is None else self.gradient(image, latent)
+        """X^(t−1) and Y to R^(t) and X^(t); `guides` as of `GradientModule`."""
+        step = image if self.gradient is None else self.gradient(image, latent, guides)
         return step, step if self.proximal is None else self.proximal(step)
 
 
@@ -189,6 +251,8 @@ class SpikeSRNet(eqx.Module):
     """
 
     encoder: PASE | None
+    velocity: VelocityEstimator | None
+    deblurring: Deblurring | None
     initialisation: Initialisation
     stages: UnrolledStage
     """All T stages in one, their weights stacked along a first axis (of length 1 where they are shared)."""
@@ -200,6 +264,12 @@ class SpikeSRNet(eqx.Module):
         if config.pase:
             channels, blocks = config.encoder_channels, config.encoder_blocks
             self.encoder = PASE(config.length, config.branches, channels, blocks, key=encoder)
+        self.velocity = self.deblurring = None
+        if config.deblur_channels:
+            self.deblurring = Deblurring(config.deblur_channels, key=jax.random.fold_in(key, 2))
+        if config.velocity_channels:
+            # A key of its own: the other weights are those of a network without.
+            self.velocity = VelocityEstimator(config.velocity_channels, key=jax.random.fold_in(key, 1))
         self.initialisation = Initialisation(
             _latent_channels(config),
             config.channels,
@@ -218,8 +288,8 @@ class SpikeSRNet(eqx.Module):
         spikes: Shaped[Array, "T h w"],
         key_frame: Int[Array, ""] | int,
         white_rate: Float[Array, ""] | float | int = WHITE_RATE,
-    ) -> tuple[Float[Array, "n C h w"], Float[Array, "h w"]]:
-        """Y_1 … Y_n (Eq. 3), and the firing rate of all blocks as intensity.
+    ) -> Encoded:
+        """All that is calculated once, before the first stage.
 
         **Raises:** as `spike_blocks`.
         """
@@ -231,13 +301,22 @@ class SpikeSRNet(eqx.Module):
         rate = jnp.mean(blocks, axis=(0, 1))
         blocks = blocks.astype(dtype)
         latent = blocks if self.encoder is None else jax.vmap(self.encoder)(blocks)
-        return latent, rate.astype(at_least_float32(dtype))
+        precise = at_least_float32(dtype)
+        if self.velocity is None:
+            rows, columns = (config.scale * size for size in rate.shape)
+            return Encoded(latent, jax.image.resize(rate.astype(precise), (rows, columns), "cubic"), None, None)
+        velocity = self.velocity(spikes, key_frame, white_rate)
+        # What the pictures say of the velocity is much less than what the simulator does, and dear.
+        seen = base_moments(spikes, key_frame, white_rate, config.moments)
+        known = refined(seen, jax.lax.stop_gradient(velocity))
+        times = block_times(spikes.shape[0], key_frame, config.blocks, config.length, config.spacing)
+        guides = jax.vmap(lambda time: time * known)(times)
+        return Encoded(latent, compensated(seen, known, config.scale).astype(precise), guides, velocity)
 
-    def initial(self, latent: Float[Array, "n C h w"], rate: Float[Array, "h w"]) -> Float[Array, "H W"]:
-        """X^(0): the enlarged firing rate (cubic) and what the motion-aligned fusion adds to it."""
-        rows, columns = (self.config.scale * size for size in rate.shape)
-        base = jax.image.resize(rate, (rows, columns), "cubic")
-        return base + self.initialisation(latent).astype(base.dtype)
+    def initial(self, seen: Encoded) -> Float[Array, "H W"]:
+        """X^(0): the base, sharpened where there is `deblurring`, and what the motion-aligned fusion adds to it."""
+        base = seen.base if self.deblurring is None else self.deblurring(seen.base)
+        return base + self.initialisation(seen.latent, seen.guides).astype(base.dtype)
 
     def stage(self, number: int) -> UnrolledStage:
         """Stage t, counted from 1 as in the paper.
@@ -266,19 +345,23 @@ class SpikeSRNet(eqx.Module):
 
         **Raises:** `InputError` if the recording is too short or `start` has another shape than the picture.
         """
-        latent, rate = self.encode(spikes, key_frame, white_rate)
+        return self.iterate(self.encode(spikes, key_frame, white_rate), start)
+
+    def iterate(self, seen: Encoded, start: Float[Array, "H W"] | None = None) -> Iterates:
+        """The stages alone. **Raises:** `InputError` if `start` has another shape than the picture."""
         if start is None:
-            start = self.initial(latent, rate)
-        elif start.shape != tuple(self.config.scale * size for size in rate.shape):
+            start = self.initial(seen)
+        elif start.shape != seen.base.shape:
             raise InputError(
                 f"The start has shape {start.shape}; for this recording at scale {self.config.scale} it must be "
-                f"{tuple(self.config.scale * size for size in rate.shape)}."
+                f"{seen.base.shape}."
             )
 
-        start = start.astype(rate.dtype)
+        start = start.astype(seen.base.dtype)
+        guides = self.working_guides(seen)
 
         def run(image: Float[Array, "H W"], weights: UnrolledStage) -> tuple[Float[Array, "H W"], Iterates]:
-            step, image = weights(image, latent)
+            step, image = weights(image, seen.latent, guides)
             return image, Iterates(step, image)
 
         if self.config.rematerialise:
@@ -288,6 +371,14 @@ class SpikeSRNet(eqx.Module):
             shared = self.stage(1)
             return jax.lax.scan(lambda x, _: run(x, shared), start, length=self.config.stages, unroll=True)[1]
         return jax.lax.scan(run, start, self.stages, unroll=True)[1]
+
+    def working_guides(self, seen: Encoded) -> Float[Array, "n 2 H_w W_w"] | None:
+        """The guides in pixels of the features of the gradient modules."""
+        factor = self.config.working_scale
+        if seen.guides is None or factor == 1:
+            return seen.guides
+        n, _, rows, columns = seen.guides.shape
+        return factor * jax.image.resize(seen.guides, (n, 2, factor * rows, factor * columns), "linear")
 
 
 def _latent_channels(config: SpikeSRConfig) -> int:

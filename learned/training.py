@@ -127,8 +127,10 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
     task = trainable(config.model, config.scale, config.network)
     examples = _examples(config)
     _make_folder(folder)
-    state, static, optimiser = _first(config, task)
-    history = _History(folder, config, static, task)
+    # A run that is gone on with has its own weights, and those it once started from may be gone.
+    model, origins = (task.build(jax.random.key(config.seed)), []) if _begun(folder) else _built(config, task)
+    state, static, optimiser = _first(config, model)
+    history = _History(folder, config, static, task, origins)
     state = history.resume(state)
     step = _step(static, task, optimiser, config)
     progress = NoProgress() if progress is None else progress
@@ -234,8 +236,21 @@ def _make_folder(folder: Path) -> None:
         raise InputError(f"The folder {folder} cannot be made: {(error.strerror or str(error)).lower()}.") from error
 
 
-def _first(config: TrainingConfig, task: Trainable) -> tuple[_State, PyTree, optax.GradientTransformation]:
-    weights, static = eqx.partition(task.build(jax.random.key(config.seed)), eqx.is_inexact_array)
+def _begun(folder: Path) -> bool:
+    return (folder / "state").exists()
+
+
+def _built(config: TrainingConfig, task: Trainable) -> tuple[Any, list[dict[str, Any]]]:
+    """The network before the first step, and what its card is to say of the files that its weights are from."""
+    model, origins = task.build(jax.random.key(config.seed)), []
+    for name in config.start or ():
+        model, card = checkpoint.grafted(model, name)
+        origins.append({"file": Path(name).name, "model": card.model, "steps": card.steps, "data": card.data})
+    return model, origins
+
+
+def _first(config: TrainingConfig, model: Any) -> tuple[_State, PyTree, optax.GradientTransformation]:
+    weights, static = eqx.partition(model, eqx.is_inexact_array)
     optimiser = optax.chain(optax.clip_by_global_norm(float(config.clip)), optax.adam(learning_rate(config)))
     average = jax.tree.map(jnp.copy, weights)  # a buffer may be donated only once
     none = [jnp.zeros((), jnp.int32) for _ in range(3)]
@@ -279,10 +294,12 @@ def _chosen(first: Bool[Array, ""], yes: PyTree, no: PyTree) -> PyTree:
 class _History:
     """What has happened in a run, and its folder."""
 
-    def __init__(self, folder: Path, config: TrainingConfig, static: PyTree, task: Trainable):
+    def __init__(
+        self, folder: Path, config: TrainingConfig, static: PyTree, task: Trainable, origins: list[dict[str, Any]]
+    ):
         self.losses: list[float] = []
         self.validated: list[dict[str, Any]] = []
-        self._folder, self._config, self._static = folder, config, static
+        self._folder, self._config, self._static, self._origins = folder, config, static, origins
         self._cases = validation.validation_set(config.scale, config.frames, config.patch)
         images = [validation.playback(case, config.scale) for _, case in self._cases]
         self.playback = validation.scores(self._cases, images, config.scale)
@@ -296,7 +313,7 @@ class _History:
     def resume(self, first: _State) -> _State:
         """The state in the folder, or `first` if there is none."""
         path = self._folder / "state"
-        if not path.exists():
+        if not _begun(self._folder):
             return first
         header, payload = checkpoint.read(path)
         if "run" not in header:
@@ -310,6 +327,7 @@ class _History:
             )
         state, losses = checkpoint.unpacked(path, payload, (first, np.zeros(header["steps"], np.float32)))
         self.losses, self.validated = [float(loss) for loss in losses], header["validated"]
+        self._origins = header.get("origins", [])
         return state
 
     def validate(self, state: _State) -> None:
@@ -338,10 +356,12 @@ class _History:
             validation.write_table(folder / "validation.csv", columns, rows)
         validation.draw_curves(folder / "curves.png", losses, self.validated, self.playback["psnr"])
         header = {"run": self._config.plain(), "steps": int(state.done), "validated": self.validated}
+        header |= {"origins": self._origins} if self._origins else {}
         checkpoint.write(folder / "state", checkpoint.packed(header, (state, losses)))
 
     def _keep(self, name: str, state: _State) -> None:
         config = self._config
+        training = {k: v for k, v in config.plain().items() if k not in ("model", "scale", "network", "pictures")}
         looked_at = "scikit-image's own" if config.pictures is None else Path(config.pictures).name
         card = checkpoint.Card(
             model=config.model,
@@ -350,7 +370,7 @@ class _History:
             steps=int(state.done),
             hardware=f"{jax.devices()[0].device_kind}, {jax.default_backend()}",
             scores={k: v for k, v in (self.validated[-1] if self.validated else {}).items()},
-            training={k: v for k, v in config.plain().items() if k not in ("model", "scale", "network", "pictures")},
+            training=training | ({"start": self._origins} if self._origins else {}),
         )
         checkpoint.save(self._folder / name, eqx.combine(state.average, self._static), card)
 

@@ -29,6 +29,8 @@ class TrainingConfig:
     - `pictures`: folder of stills and clips (`learned.data.Pictures.folder`); None: those of scikit-image.
     - `prepared`: how many examples are made before the first step and then drawn from, for a network that does not
       take the spikes themselves (`learned.prepared`); None for the others, which see none twice.
+    - `start`: names of shipped weights (`spikesr_small_x4`) or paths of .scsr files, put in the place of the random
+      first weights one after the other; each may be of a part of the network only (`learned.checkpoint.grafted`).
     - `batch`: examples per step; the paper's 6.
     - `steps`: of Adam (Kingma and Ba 2015).
     - `rate`: the greatest learning rate. `schedule`: `constant`; `halving` every `halve_every` steps; `cosine`, from 0
@@ -64,6 +66,7 @@ class TrainingConfig:
     save_every: int = 100
     workers: int | None = None
     prepared: int | None = None
+    start: tuple[str, ...] | None = None
 
     def __post_init__(self):
         _check(vars(self))
@@ -175,4 +178,10 @@ _RULES: dict[str, _Rule] = {
     "save_every": _whole(1, "steps"),
     "workers": _whole(0, "processes", or_none=True),
     "prepared": _whole(1, "examples", or_none=True),
+    "start": (
+        lambda value: (
+            value is None or (isinstance(value, tuple) and len(value) > 0 and all(type(v) is str for v in value))
+        ),
+        "a list of names of shipped weights or paths of .scsr files",
+    ),
 }

@@ -169,3 +169,13 @@ def test_alignment_can_follow_motion():
 def test_groups_divide_the_channels():
     with pytest.raises(InputError, match="divide"):
         Align(3, 4, groups=3, levels=1, key=jax.random.key(0))
+
+
+def test_a_guide_says_where_to_read():
+    """With no offset of its own it is a convolution of what lies two down and one left of each pixel."""
+    align = Align(3, 4, 2, 1, key=jax.random.key(0))
+    features = jax.random.normal(jax.random.key(1), (3, 9, 10))
+    guide = jnp.broadcast_to(jnp.array([2.0, -1.0])[:, None, None], (2, 9, 10))
+    found, plain = align(features, guide=guide), align(features)
+    np.testing.assert_allclose(found[:, 1:5, 3:8], plain[:, 3:7, 2:7], atol=1e-5)
+    assert bool(jnp.any(jnp.abs(found - plain) > 1e-3))

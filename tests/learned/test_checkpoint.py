@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from learned import checkpoint, registry
-from learned.checkpoint import Card, load, save
+from learned.checkpoint import Card, grafted, load, save
 from learned.registry import Trainable
 from scsr_opt.errors import InputError
 
@@ -126,3 +126,30 @@ def test_a_write_that_fails_leaves_the_old_file(file, model, monkeypatch):
     with pytest.raises(OSError):
         save(file, model, dataclasses.replace(CARD, steps=8))
     assert file.read_bytes() == before and os.listdir(file.parent) == ["a.scsr"]
+
+
+class _Whole(eqx.Module):
+    part: eqx.nn.Conv2d
+    rest: eqx.nn.Conv2d
+
+
+class _Part(eqx.Module):
+    part: eqx.nn.Conv2d
+
+
+def test_a_part_takes_its_place_in_a_network(tmp_path, monkeypatch):
+    made = [build(3)(jax.random.key(n)) for n in range(3)]
+    monkeypatch.setitem(
+        registry.MODELS,
+        "part",
+        lambda *_: Trainable(lambda key: _Part(build(3)(key)), lambda *_: jnp.zeros(()), lambda *_: jnp.zeros((1, 1))),
+    )
+    save(tmp_path / "part.scsr", _Part(made[0]), dataclasses.replace(CARD, model="part"))
+    found, card = grafted(_Whole(made[1], made[2]), str(tmp_path / "part.scsr"))
+    assert same(found, _Whole(made[0], made[2])) and card.steps == CARD.steps
+    with pytest.raises(InputError, match=r"has weights \.part\.weight of shape .* has nothing: start from a file"):
+        grafted(made[1], str(tmp_path / "part.scsr"))
+    with pytest.raises(InputError, match=r"has of shape \(4, 1, 3, 3\): start from a file"):
+        grafted(_Part(build(4)(jax.random.key(0))), str(tmp_path / "part.scsr"))
+    with pytest.raises(InputError, match="none.scsr cannot be read"):
+        grafted(made[1], str(tmp_path / "none.scsr"))

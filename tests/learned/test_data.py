@@ -24,7 +24,7 @@ TINY = Examples(scale=2, frames=21, patch=16, seed=5)
 
 
 def same(first, second) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second, strict=True))
 
 
 @pytest.mark.parametrize("scene", SCENES)

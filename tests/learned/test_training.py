@@ -71,6 +71,23 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path):
         assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes(), name
 
 
+def test_a_run_starts_from_weights_that_are_named_and_goes_on_to_the_same_result(tmp_path):
+    first = train(CONFIG.changed(steps=3), tmp_path / "first")
+    config = CONFIG.changed(steps=4, seed=1, save_every=2, start=[str(tmp_path / "first" / "last.scsr")])
+    kept = train(config.changed(rate=1e-12), tmp_path / "kept")
+    assert np.allclose(kept.model.weight, first.model.weight, atol=1e-6)
+    straight = train(config, tmp_path / "straight")
+    with pytest.raises(KeyboardInterrupt):
+        train(config, tmp_path / "killed", progress=Killed(3))
+    (tmp_path / "first" / "last.scsr").write_bytes((tmp_path / "kept" / "last.scsr").read_bytes())
+    train(config, tmp_path / "killed")
+    for name in ("state", "last.scsr"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes(), name
+    _, card = checkpoint.load(tmp_path / "straight" / "last.scsr")
+    assert card.training["start"] == [{"file": "last.scsr", "model": "tiny", "steps": 3, "data": card.data}]
+    assert straight.losses.tobytes() != kept.losses.tobytes()
+
+
 PREPARED = CONFIG.changed(model="prepared", prepared=10, batch=4, validate_every=6, save_every=3)
 
 
@@ -243,7 +260,7 @@ def test_learning_rates():
 def test_configurations_that_come_along(name):
     config = TrainingConfig.read(name)
     assert TrainingConfig.of(config.plain()) == config
-    assert name == "smoke" or name.endswith(f"x{config.scale}")
+    assert name in ("smoke", "velocity") or name.endswith(f"x{config.scale}")
     task = trainable(config.model, config.scale, config.network)  # the sizes are ones that the network has
     assert (task.preparation is None) == (config.prepared is None)
 
@@ -269,6 +286,7 @@ def test_configurations_that_come_along(name):
         ({"patch": 8}, "patch is 8, but it must be a whole number of at least 16, sensor pixels"),
         ({"network": 3}, "network is 3, but it must be a table of sizes"),
         ({"workers": -1}, "workers is -1"),
+        ({"start": []}, r"start is \(\), but it must be a list of names of shipped weights or paths"),
         ({"prepared": 0}, "prepared is 0, but it must be a whole number of at least 1, examples"),
     ],
 )

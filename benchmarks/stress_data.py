@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, UInt8
 from benchmarks.stress_cases import Case
 from benchmarks.stress_methods import PRIORS
 from scsr_opt.camera.samples import spike_intervals
+from scsr_opt.motion.handed_in import FASTEST
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators import Blur, DataTerm, PlacedSamples, accumulate, place
 from scsr_opt.solvers import Problem
@@ -64,7 +65,7 @@ def situation(case: Case) -> Situation:
     elif case.motion == "discontinuous":
         said = rng.choice([-0.3, 0.0, 0.3], (2, height, width)).astype(np.float32)
     elif case.motion == "huge":
-        said = np.full_like(said, 1e38)
+        said = np.full_like(said, FASTEST)
     elif case.motion == "not a number":
         said = np.where(rng.random((height, width)) < 0.5, said, np.float32(np.nan))
     bad = rng.random((height, width)) < case.bad

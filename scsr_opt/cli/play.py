@@ -16,8 +16,6 @@ Method = Literal["tfp", "tfi", "stp"]
 
 # Playback from intervals looks back to the last spikes of a pixel: enough frames for pixels that fire 5 times in 1000.
 _CONTEXT = 1001
-# Frames that tfp averages over, where nothing else is said.
-_WINDOW = 21
 # Pictures of a film, about, and how many are shown a second, where nothing else is said.
 _PICTURES, _RATE = 100, 25.0
 
@@ -100,9 +98,11 @@ class _Player:
     """Playback of a recording at any frame; only the frames around it are read."""
 
     def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int | None):
+        from scsr_opt.camera.playback import WINDOW
+
         self._recording = recording
         self._method = method
-        self._window = min(_WINDOW, recording.frames) if window is None else window
+        self._window = min(WINDOW, recording.frames) if window is None else window
         if not 1 <= self._window <= recording.frames:
             raise InputError(
                 f"--window is {window}, but it must be from 1 to the {recording.frames} frames of the recording."

@@ -76,7 +76,13 @@ class Recording:
 
         **Raises:** `InputError` if `array` has another number of dimensions, other values, or nothing in it.
         """
-        spikes = np.asarray(array)
+        try:
+            spikes = np.asarray(array)
+        except ValueError:
+            raise InputError(
+                "The array is a list whose parts differ in length; spikes are (frames, rows, columns), every frame and "
+                "every row as long as the others."
+            ) from None
         checked_shape(spikes.shape, "The array")
         source = ArraySource(as_spikes(spikes, "The array"))
         return cls(source, name=name, **checked_settings(source.shape, readout_rate, white_rate, bad_pixels))
@@ -216,8 +222,21 @@ def _index(value: Any, name: str) -> int:
         raise InputError(f"{name} is {value!r}, but frames are counted in whole numbers, the first one is 0.") from None
 
 
+def _held(array: np.ndarray) -> str:
+    """What a mask should not hold: values of another kind, or some beyond 0 and 1."""
+    if array.dtype.kind not in "iu":
+        return f"values of type {array.dtype}"
+    return f"values from {array.min()} to {array.max()}"
+
+
 def _mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    array = np.asarray(mask)
+    try:
+        array = np.asarray(mask)
+    except ValueError:
+        raise InputError(
+            f"bad_pixels is a list whose rows differ in length; give a mask of shape {shape}, True where a pixel is "
+            "bad, top row first."
+        ) from None
     if array.shape != shape:
         raise InputError(
             f"bad_pixels has shape {array.shape}, but the sensor has {shape[0]} rows and {shape[1]} columns: give a "
@@ -227,7 +246,7 @@ def _mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
         return array
     if array.dtype.kind not in "iu" or array.max() > 1 or array.min() < 0:
         raise InputError(
-            f"bad_pixels holds values of type {array.dtype} other than 0 and 1: give True (or 1) where a pixel is bad, "
-            f"for example map > limit."
+            f"bad_pixels holds {_held(array)}; give a bool mask, or whole numbers 0 and 1, True (or 1) where a pixel "
+            "is bad, for example map > limit."
         )
     return array.astype(bool)

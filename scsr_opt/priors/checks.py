@@ -9,13 +9,23 @@ from jaxtyping import Array, Bool, Float
 from scsr_opt.errors import InputError
 
 
+def finite(given: object) -> float:
+    """`given` as a float; not a number where it is none, or is not finite."""
+    try:
+        found = math.nan if isinstance(given, str | bytes) else float(given)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+    return found if math.isfinite(found) else math.nan
+
+
 def whole(owner: str, given: float | int, what: str) -> int:
     """`given` as an int.
 
     **Errors:** `InputError` unless it is a whole number of at least 1.
     """
-    if not math.isfinite(given) or given != int(given) or given < 1:
-        raise InputError(f"{owner} was given {given} {what}; it needs a whole number of at least 1.")
+    found = finite(given)
+    if not (found >= 1 and found == int(found)):
+        raise InputError(f"{owner} was given {given!r} {what}; it needs a whole number of at least 1.")
     return int(given)
 
 
@@ -24,10 +34,11 @@ def positive(owner: str, name: str, given: float | int, most: float | int = math
 
     **Errors:** `InputError` unless it is above 0, finite and not above `most`.
     """
-    if not (0 < given <= most and math.isfinite(given)):
+    found = finite(given)
+    if not 0 < found <= most:
         limit = "" if most == math.inf else f" and at most {most:g}"
-        raise InputError(f"{owner} was given {name} {given}; it needs a finite number above 0{limit}.")
-    return float(given)
+        raise InputError(f"{owner} was given {name} {given!r}; it needs a finite number above 0{limit}.")
+    return found
 
 
 def divisible(strength: Float[ArrayLike, ""], dtype: DTypeLike) -> tuple[Bool[Array, ""], Float[Array, ""]]:

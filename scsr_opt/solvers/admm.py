@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from scsr_opt.errors import InputError
+from scsr_opt.priors.checks import finite
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -64,9 +65,9 @@ class ADMM(Solver[ADMMState]):
     relaxation: float | int = 1.6
 
     def __check_init__(self):
-        if not 0 < self.relaxation < 2:
+        if not 0 < finite(self.relaxation) < 2:
             raise InputError(
-                f"{type(self).__name__} was given relaxation={self.relaxation}; it has to be between 0 and 2."
+                f"{type(self).__name__} was given relaxation={self.relaxation!r}; it has to be between 0 and 2."
             )
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ADMMState:

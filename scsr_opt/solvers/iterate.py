@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import whole
+from scsr_opt.priors.checks import finite, whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.linear_solve import LinearSolve
@@ -67,9 +67,9 @@ class Solver(eqx.Module, Generic[State]):
             given = getattr(self, part, None)
             if given is not None and not isinstance(given, kind):
                 raise InputError(f"{name} was given {part}={given!r}; it must be a {kind.__name__}, such as {example}.")
-        if not self.tolerance >= 0:
+        if not finite(self.tolerance) >= 0:
             raise InputError(
-                f"{type(self).__name__} was given tolerance {self.tolerance}; it is a relative measure of at "
+                f"{type(self).__name__} was given tolerance {self.tolerance!r}; it is a relative measure of at "
                 "least 0 (0: use all iterations)."
             )
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from scsr_opt.errors import InputError
+from scsr_opt.priors.checks import whole
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -51,10 +51,7 @@ class _Jaxopt(Solver[JaxoptState]):
     stopping: Stopping = eqx.field(default=FixedPoint(), init=False)
 
     def __check_init__(self):
-        if self.inner_iterations < 1:
-            raise InputError(
-                f"{type(self).__name__} was given inner_iterations={self.inner_iterations}; it needs at least 1."
-            )
+        whole(type(self).__name__, self.inner_iterations, "inner_iterations")
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> JaxoptState:
         step_size = 1 / lipschitz_bound(problem.data)

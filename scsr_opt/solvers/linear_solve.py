@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from scsr_opt.errors import InputError
+from scsr_opt.priors.checks import positive, whole
 
 
 class LinearSolve(eqx.Module):
@@ -18,8 +18,7 @@ class LinearSolve(eqx.Module):
     steps: eqx.AbstractVar[int]
 
     def __check_init__(self):
-        if self.steps < 1:
-            raise InputError(f"{type(self).__name__} was given {self.steps} steps; it needs at least 1.")
+        whole(type(self).__name__, self.steps, "steps")
 
     @abc.abstractmethod
     def __call__(self, normal: Callable[[Array], Array], wanted: Float[Array, "H W"]) -> Float[Array, "H W"]:
@@ -54,6 +53,9 @@ class JaxoptConjugateGradients(LinearSolve):
 
     steps: int = 10
     tolerance: float | int = 0.1
+
+    def __check_init__(self):
+        positive(type(self).__name__, "the tolerance", self.tolerance)
 
     def __call__(self, normal: Callable[[Array], Array], wanted: Float[Array, "H W"]) -> Float[Array, "H W"]:
         with warnings.catch_warnings():

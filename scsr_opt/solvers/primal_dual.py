@@ -7,6 +7,7 @@ import jax
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
+from scsr_opt.priors.checks import finite
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.linear_solve import ConjugateGradients, LinearSolve
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -142,8 +143,8 @@ class ChambollePock(_PrimalDual):
     relaxation: float | int = 1.6
 
     def __check_init__(self):
-        if not 0 < self.relaxation < 2:
-            raise InputError(f"ChambollePock was given relaxation={self.relaxation}; it has to be between 0 and 2.")
+        if not 0 < finite(self.relaxation) < 2:
+            raise InputError(f"ChambollePock was given relaxation={self.relaxation!r}; it has to be between 0 and 2.")
 
     @property
     def _over(self) -> float | int:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
+from scsr_opt.priors.checks import whole
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.splitting import AnalysisSplitting, Dual
@@ -56,8 +57,7 @@ def solution(
             "a RidgeRegulariser."
         )
     for name, number in (("iterations", iterations), ("adjoint_iterations", adjoint_iterations)):
-        if number < 1:
-            raise InputError(f"solution was given {name}={number}; it needs at least 1.")
+        whole("solution", number, name)
     numbers, fixed = eqx.partition(problem, eqx.is_inexact_array)
     return _solution(numbers, fixed, iterations, adjoint_iterations, jax.lax.stop_gradient(image))
 

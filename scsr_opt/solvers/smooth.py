@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.sampling import DataTerm
+from scsr_opt.priors.checks import whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -203,8 +204,7 @@ class LBFGS(Smooth):
     history: int = 10
 
     def __check_init__(self):
-        if self.history < 1:
-            raise InputError(f"LBFGS was given a history of {self.history}; it needs at least 1.")
+        whole("LBFGS", self.history, "pairs of history")
 
     def _method(self) -> Any:
         method = optx.LBFGS(rtol=0.0, atol=0.0, history_length=self.history)

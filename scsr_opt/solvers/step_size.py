@@ -2,7 +2,6 @@
 for the two steps of a primal–dual method."""
 
 import abc
-import math
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.checks import spectral_norm
+from scsr_opt.priors.checks import finite, positive, whole
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 
 
@@ -57,8 +57,7 @@ class SpectralNorm(StepSize):
     iterations: int = 30
 
     def __check_init__(self):
-        if self.iterations < 1:
-            raise InputError(f"SpectralNorm was given {self.iterations} iterations; it needs at least 1.")
+        whole("SpectralNorm", self.iterations, "iterations")
 
     def first(self, problem: Problem) -> Float[Array, ""]:
         data = problem.data
@@ -77,8 +76,7 @@ class Fixed(StepSize):
     value: float | int
 
     def __check_init__(self):
-        if not (math.isfinite(self.value) and self.value > 0):
-            raise InputError(f"Fixed was given the step size {self.value}; it needs a finite number above 0.")
+        positive("Fixed", "the step size", self.value)
 
     def first(self, problem: Problem) -> Float[Array, ""]:
         return jnp.asarray(self.value, problem.data.target.dtype)
@@ -100,10 +98,10 @@ class Backtracking(StepSize):
     shrink: float | int = 0.7
 
     def __check_init__(self):
-        if not (math.isfinite(self.growth) and self.growth >= 1 and 0 < self.shrink < 1):
+        if not (finite(self.growth) >= 1 and 0 < finite(self.shrink) < 1):
             raise InputError(
-                f"Backtracking was given growth={self.growth} and shrink={self.shrink}; growth is a finite factor of "
-                "at least 1, shrink one between 0 and 1."
+                f"Backtracking was given growth={self.growth!r} and shrink={self.shrink!r}; growth is a finite factor "
+                "of at least 1, shrink one between 0 and 1."
             )
 
     def first(self, problem: Problem) -> Float[Array, ""]:
@@ -133,8 +131,7 @@ class Balance(eqx.Module):
     ratio: float | int = 1.0
 
     def __check_init__(self):
-        if not (math.isfinite(self.ratio) and self.ratio > 0):
-            raise InputError(f"Balance was given the ratio {self.ratio}; it needs a finite number above 0.")
+        positive("Balance", "the ratio", self.ratio)
 
     def dual(self, lipschitz: Float[Array, ""], norm_squared: float | int) -> Float[Array, ""]:
         """σ."""

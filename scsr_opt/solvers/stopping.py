@@ -17,7 +17,6 @@ where BᵀMB is singular, and it mostly is: the dual point then would have to li
 """
 
 import abc
-import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,6 +26,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
+from scsr_opt.priors.checks import finite
 from scsr_opt.priors.prior import Prior
 
 
@@ -92,10 +92,10 @@ class DualityGap(Stopping):
     upper: float | int = 1.0
 
     def __check_init__(self):
-        if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
+        if not finite(self.lower) < finite(self.upper):
             raise InputError(
-                f"DualityGap was given lower={self.lower} and upper={self.upper}; it needs two finite intensities, the "
-                "lower one below the upper one."
+                f"DualityGap was given lower={self.lower!r} and upper={self.upper!r}; it needs two finite intensities, "
+                "the lower one below the upper one."
             )
 
     def check(self, prior: Prior) -> None:

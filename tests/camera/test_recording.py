@@ -108,6 +108,7 @@ MISTAKES = {
     ),
     "grey levels": (lambda: Recording.from_array(some_spikes() * 255), r"values from 0 to 255.*only 0 and 1"),
     "negative": (lambda: Recording.from_array(-some_spikes().astype(int)), r"values from -1 to 0.*only 0 and 1"),
+    "a short row": (lambda: Recording.from_array([[[1, 0], [1]]]), "a list whose parts differ in length"),
     "floats": (lambda: Recording.from_array(some_spikes().astype(float)), r"type float64.*bool or integer.*array > 0"),
     "mask of another shape": (
         lambda: Recording.from_array(some_spikes(), bad_pixels=np.zeros((7, 5), bool)),
@@ -115,7 +116,15 @@ MISTAKES = {
     ),
     "mask of gains": (
         lambda: Recording.from_array(some_spikes(), bad_pixels=np.full((5, 7), 0.5)),
-        r"type float64 other than 0 and 1.*map > limit",
+        r"values of type float64; give a bool mask.*map > limit",
+    ),
+    "mask of counts": (
+        lambda: Recording.from_array(some_spikes(), bad_pixels=np.full((5, 7), 3)),
+        r"bad_pixels holds values from 3 to 3; give a bool mask",
+    ),
+    "mask with a short row": (
+        lambda: Recording.from_array(some_spikes(), bad_pixels=[[1], [1, 0]]),
+        r"rows differ in length.*shape \(5, 7\)",
     ),
     "white rate 0": (
         lambda: Recording.from_array(some_spikes(), white_rate=0),

@@ -103,5 +103,5 @@ def test_single_precision_under_jax_in_double_is_refused(name, problem, case):
 
 
 def test_a_history_of_none_makes_no_sense():
-    with pytest.raises(InputError, match="history of 0"):
+    with pytest.raises(InputError, match="0 pairs of history"):
         LBFGS(history=0)

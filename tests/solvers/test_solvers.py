@@ -234,7 +234,7 @@ def test_limits_that_make_no_sense(name, wrong, message):
 
 @pytest.mark.parametrize("name", ["jaxopt ISTA", "jaxopt FISTA"])
 def test_inner_iterations_that_make_no_sense(name):
-    with pytest.raises(InputError, match="inner_iterations=0"):
+    with pytest.raises(InputError, match="0 inner_iterations"):
         SOLVERS[name](inner_iterations=0)
 
 

@@ -25,6 +25,8 @@ from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
 # Layers besides the background that are looked for, and the fewest sensor pixels one may have.
 _MOST = 3
 _FEWEST_PIXELS = 40
+# Pixels of a region, about, whose velocities an affine one is fitted to: a start, which is refined.
+_FITTED = 4000
 # Velocities that a region is tried with; those nearer than this (sensor pixels per frame) are alike.
 _COMMON, _ALIKE = 3, 0.02
 # A candidate that at most so many times as many pixels contradict as the best one serves a region as well.
@@ -170,8 +172,10 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
     """The affine velocity that most of a region's velocities are near to (iteratively reweighted least squares)."""
     height, width = region.shape
     fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)[:6]
-    here, found = fields[:, :, region].reshape(6, -1).T, motion.velocity[:, region].reshape(-1)
-    trust = np.tile(motion.confidence[region] + 1e-3, 2)
+    places = np.flatnonzero(region)
+    some = np.unravel_index(places[:: max(1, places.size // _FITTED)], region.shape)
+    here, found = fields[:, :, *some].reshape(6, -1).T, motion.velocity[:, *some].reshape(-1)
+    trust = np.tile(motion.confidence[some] + 1e-3, 2)
     weight, numbers = trust, np.zeros(6, np.float32)
     for _ in range(20):
         weighted = here * weight[:, None]
@@ -328,7 +332,7 @@ def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
     shown, there = [], []
     for k in range(number):
         velocity, acceleration = jnp.asarray(layers.velocity[k]), jnp.asarray(layers.acceleration[k])
-        origin = inverse(velocity, acceleration, sharp.after[some])
+        origin = inverse(layers.velocity[k], layers.acceleration[k], sharp.after[some])
         key_picture = drift(sharp.picture, sharp.after, near, (velocity, acceleration)).mean
         membership = jnp.asarray(layers.label == k, jnp.float32)
         both = jnp.stack([key_picture, membership])

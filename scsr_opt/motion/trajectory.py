@@ -256,28 +256,16 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
 def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
     """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there."""
     layers = motion.layers
-    if layers is None and all(
-        np.ptp(field, axis=(1, 2)).max() == 0 for field in (motion.velocity, motion.acceleration)
-    ):
-        position = _translated(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
-        return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
     if layers is None:
-        position = inverse(jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration), after)
+        position = inverse(motion.velocity, motion.acceleration, after)
         return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
-    order = np.argsort(-layers.depth, kind="stable")
-    nearest_first = (layers.velocity[order], layers.acceleration[order])
-    membership = (layers.label == order[:, None, None]).astype(np.float32)
-    return _front(*(jnp.asarray(v) for v in (*nearest_first, membership)), after)
-
-
-@jax.jit
-def _translated(
-    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
-) -> Float[Array, "n 2 h w"]:
-    """`inverse` where all move alike."""
-    here = jnp.indices(velocity.shape[1:], velocity.dtype)[None]
-    after = after[:, None, None, None]
-    return here - (velocity[None] * after + acceleration[None] * (0.5 * after**2))
+    shape = (after.size, *layers.label.shape)
+    position, part = jnp.zeros((after.size, 2, *layers.label.shape), after.dtype), jnp.full(shape, -1, after.dtype)
+    for k in np.argsort(-layers.depth, kind="stable"):
+        here = inverse(layers.velocity[k], layers.acceleration[k], after)
+        member = jnp.asarray((layers.label == k).astype(np.float32))
+        position, part = _behind(position, part, here, member)
+    return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
 
 
 def _believed(
@@ -310,64 +298,72 @@ def _times_share(
 
 
 @jax.jit
-def _front(
-    velocity: Float[Array, "layers 2 h w"],
-    acceleration: Float[Array, "layers 2 h w"],
-    membership: Float[Array, "layers h w"],
-    after: Float[Array, " n"],
+def _behind(
+    position: Float[Array, "n 2 h w"],
+    part: Float[Array, "n h w"],
+    here: Float[Array, "n 2 h w"],
+    membership: Float[Array, "h w"],
 ) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
-    """Position and visibility of the first layer (they come nearest first) that is there."""
-
-    def behind(seen: tuple[Array, Array], layer: tuple[Array, Array, Array]):
-        position, part = seen
-        velocity, acceleration, membership = layer
-        here = inverse(velocity, acceleration, after)
-        member = jax.lax.map(lambda q: bilinear(membership[None], q[0], q[1])[0], here)
-        # Where no layer is certain, the one that is most so far counts.
-        better = (part <= _PART) & (member > part)
-        return (jnp.where(better[:, None], here, position), jnp.where(better, member, part)), None
-
-    moments, (_, _, height, width) = after.shape[0], velocity.shape
-    begin = (
-        jnp.zeros((moments, 2, height, width), velocity.dtype),
-        jnp.full((moments, height, width), -1, velocity.dtype),
-    )
-    (position, part), _ = jax.lax.scan(behind, begin, (velocity, acceleration, membership))
-    return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
+    """Position, and how far that belongs to its layer, after one more layer behind the others."""
+    member = jax.lax.map(lambda q: bilinear(membership[None], q[0], q[1])[0], here)
+    # Where no layer is certain, the one that is most so far counts.
+    better = (part <= _PART) & (member > part)
+    return jnp.where(better[:, None], here, position), jnp.where(better, member, part)
 
 
 # Fixed-point iterations of `inverse`, and the change, sensor pixels, after which no more are done.
 _REFINEMENTS, _STILL = 8, 1e-4
 
 
-@jax.jit
 def inverse(
-    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
+    velocity: Float[Array | np.ndarray, "2 h w"],
+    acceleration: Float[Array | np.ndarray, "2 h w"],
+    after: Float[Array, " n"],
 ) -> Float[Array, "n 2 h w"]:
-    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`, by fixed-point iteration from q = p.
+    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`: at once where all move alike, else by
+    fixed-point iteration from q = p.
 
     The error shrinks by ‖∇d‖ each time, which is the relative change of displacement from pixel to pixel: well under ½
     but for motion boundaries, where the inverse is not unique anyway. It ends when nothing moves by `_STILL` any more,
     or after `_REFINEMENTS`.
     """
-    height, width = velocity.shape[1:]
-    rows, columns = jnp.meshgrid(
-        jnp.arange(height, dtype=velocity.dtype), jnp.arange(width, dtype=velocity.dtype), indexing="ij"
-    )
-    field = jnp.concatenate([velocity, acceleration])
+    v, a = jnp.asarray(velocity), jnp.asarray(acceleration)
+    if all(np.ptp(field, axis=(1, 2)).max() == 0 for field in (np.asarray(velocity), np.asarray(acceleration))):
+        return _translated(v, a, after)
+    return _iterated(v, a if np.any(acceleration) else None, after)
+
+
+@jax.jit
+def _translated(
+    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
+) -> Float[Array, "n 2 h w"]:
+    here = jnp.indices(velocity.shape[1:], velocity.dtype)[None]
+    after = after[:, None, None, None]
+    return here - (velocity[None] * after + acceleration[None] * (0.5 * after**2))
+
+
+@jax.jit
+def _iterated(
+    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"] | None, after: Float[Array, " n"]
+) -> Float[Array, "n 2 h w"]:
+    here = jnp.indices(velocity.shape[1:], velocity.dtype)
+    # Looking up takes most of the time, and a field of zeros need not be.
+    field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])
 
     def one(tau: Float[Array, ""]) -> Float[Array, "2 h w"]:
         def refine(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             q, done, _ = carry
-            here = bilinear(field, q[0], q[1])
-            displacement = here[:2] * tau + here[2:] * (0.5 * tau**2)
-            better = jnp.stack([rows, columns]) - displacement
+            found = bilinear(field, q[0], q[1])
+            displacement = found[:2] * tau
+            if acceleration is not None:
+                displacement += found[2:] * (0.5 * tau**2)
+            better = here - displacement
             return better, done + 1, jnp.max(jnp.abs(better - q))
 
         def go_on(carry: tuple[Array, Array, Array]) -> Array:
             return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
 
-        begin = jnp.stack([rows, columns]), jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
+        begin = here, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
         return jax.lax.while_loop(go_on, refine, begin)[0]
 
     return jax.lax.map(one, after)

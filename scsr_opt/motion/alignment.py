@@ -116,10 +116,6 @@ class Drift(NamedTuple):
     seen: Float[Array, "h w"]
 
 
-# Pixels whose pictures along a motion are looked up together.
-_BLOCK = 8192
-
-
 @jax.jit
 def drift(
     pictures: Float[Array, "n h w"],
@@ -132,40 +128,35 @@ def drift(
     height, width = pictures.shape[1:]
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
+    row, column = jnp.meshgrid(
+        jnp.arange(height, dtype=after.dtype), jnp.arange(width, dtype=after.dtype), indexing="ij"
+    )
 
-    def sums(value: Float[Array, "n m"], weight: Float[Array, "n m"]) -> Float[Array, "9 m"]:
-        """Σ weight (1, τ, τ², τ³, τ⁴), Σ weight·value (1, τ, τ²/2), Σ weight·value²."""
+    def seen_at(k: Array) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+        """The picture of a moment at what each pixel shows in the key frame, and how far it takes part."""
+        if motion is None:
+            return pictures[k], jnp.full_like(about, taking_part[k])
+        (down, right), (down_more, right_more) = motion
+        here = row + after[k] * down + 0.5 * after[k] ** 2 * down_more
+        there = column + after[k] * right + 0.5 * after[k] ** 2 * right_more
+        inside = (here >= 0) & (there >= 0) & (here <= height - 1) & (there <= width - 1)
+        return bilinear(pictures[k][None], here, there)[0], jnp.where(inside, taking_part[k], 0)
+
+    def add(k: Array, sums: list[Array]) -> list[Array]:
+        value, weight = seen_at(k)
+        value, tau = value - about, after[k]
         weighted = weight * value
-        times = (after[None] ** jnp.arange(5, dtype=after.dtype)[:, None]) @ weight
-        values = jnp.stack([jnp.ones_like(after), after, after**2 / 2]) @ weighted
-        return jnp.concatenate([times, values, (weighted * value).sum(0)[None]])
+        powers = [weight, weight * tau, weight * tau**2, weight * tau**3, weight * tau**4]
+        values = [weighted, weighted * tau, weighted * (tau**2 / 2), weighted * value]
+        return [total + more for total, more in zip(sums, powers + values, strict=True)]
 
-    def along(pixel: Float[Array, "7 m"]) -> Float[Array, "9 m"]:
-        row, column, *field, start = pixel[:, None]
-
-        def position(tau: Array) -> tuple[Array, Array]:
-            down, right, down_more, right_more = field
-            return row + tau * down + 0.5 * tau**2 * down_more, column + tau * right + 0.5 * tau**2 * right_more
-
-        # The values are looked up picture by picture and kept: looked up anew for each sum, they took twice as long.
-        value = jax.lax.map(lambda one: bilinear(one[0][None], *position(one[1]))[0, 0] - start[0], (pictures, after))
-        row, column = position(after[:, None])
-        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-        return sums(value, jnp.where(inside, taking_part[:, None], 0))
-
-    if motion is None:
-        weight = jnp.broadcast_to(taking_part[:, None], (after.size, height * width))
-        total = sums((pictures - about[None]).reshape(after.size, -1), weight)
-    else:
-        # Some pixels at a time, so that what is kept stays near: all of 250×400 at once took twice as long.
-        grid = jnp.meshgrid(jnp.arange(height, dtype=after.dtype), jnp.arange(width, dtype=after.dtype), indexing="ij")
-        pixels = jnp.concatenate([jnp.stack(grid), *motion, about[None]]).reshape(7, -1)
-        blocks = -(-height * width // _BLOCK)
-        pixels = jnp.pad(pixels, ((0, 0), (0, blocks * _BLOCK - height * width))).reshape(7, blocks, _BLOCK)
-        total = jax.lax.map(along, jnp.moveaxis(pixels, 1, 0))
-        total = jnp.moveaxis(total, 0, 1).reshape(9, -1)[:, : height * width]
-    total = total.reshape(9, height, width)
-    moments, values = total[:5], total[5:]
+    # Before the first moment that takes part, and after the last, nothing is looked up.
+    numbers = jnp.arange(after.size)
+    begin = jnp.min(jnp.where(taking_part != 0, numbers, after.size))
+    end = jnp.max(jnp.where(taking_part != 0, numbers + 1, 0))
+    # Kept apart: as one array they took a quarter longer.
+    sums = jax.lax.fori_loop(begin, end, add, [jnp.zeros_like(about)] * 9)
+    moments, values = jnp.stack(sums[:5]), jnp.stack(sums[5:])
     # Σ weight, of the regressors τ and τ²/2, and of their products.
     seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])
     products = moments[2:] / jnp.array([1, 2, 4], after.dtype)[:, None, None]
@@ -184,8 +175,8 @@ def drift(
     )
 
 
-# The widest window that `smooth` is asked for, in sensor pixels.
-_REACH = 18
+# The widest window that `smooth` is asked for, in sensor pixels, and how many pixels of it are added in one pass.
+_REACH, _AT_ONCE = 18, 16
 
 
 @jax.jit
@@ -196,18 +187,23 @@ def smooth(values: Float[Array, "... h w"], sigma: Float[Array, ""]) -> Float[Ar
     """
     sigma = sigma.astype(values.dtype)
     reach = jnp.minimum(jnp.ceil(3 * sigma).astype(jnp.int32), _REACH)
-    offsets = jnp.arange(-_REACH, _REACH + 1, dtype=jnp.int32)
+    passes = -(-(2 * _REACH + 1) // _AT_ONCE)
+    offsets = jnp.arange(passes * _AT_ONCE, dtype=jnp.int32) - _REACH
     distance = offsets.astype(values.dtype) / sigma
     taps = jnp.where(jnp.abs(offsets) <= reach, jnp.exp(-0.5 * distance**2), 0)
     taps = taps / taps.sum()
     for axis in (values.ndim - 2, values.ndim - 1):
         border = [(0, 0)] * values.ndim
-        border[axis] = (_REACH, _REACH)
+        border[axis] = (_REACH, passes * _AT_ONCE - _REACH - 1)
         wide = jnp.pad(values, border, mode="edge")
         length = values.shape[axis]
 
         def add(k: Array, total: Array, wide: Array = wide, axis: int = axis, length: int = length) -> Array:
-            return total + taps[k] * jax.lax.dynamic_slice_in_dim(wide, k, length, axis)
+            first = _REACH - reach + k * _AT_ONCE
+            part = jax.lax.dynamic_slice_in_dim(wide, first, length + _AT_ONCE - 1, axis)
+            some = jax.lax.dynamic_slice_in_dim(taps, first, _AT_ONCE)
+            shifted = (jax.lax.slice_in_dim(part, j, j + length, axis=axis) for j in range(_AT_ONCE))
+            return total + sum((some[j] * each for j, each in enumerate(shifted)), start=jnp.zeros_like(total))
 
-        values = jax.lax.fori_loop(_REACH - reach, _REACH + reach + 1, add, jnp.zeros_like(values))
+        values = jax.lax.fori_loop(0, -(-(2 * reach + 1) // _AT_ONCE), add, jnp.zeros_like(values))
     return values

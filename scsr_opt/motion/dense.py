@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.ndimage import median_filter
 
 from scsr_opt.motion.alignment import Stretches, drift, smooth
 from scsr_opt.motion.trajectory import Motion
@@ -72,8 +71,7 @@ def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tupl
             jnp.asarray(steps, jnp.int32),
         )
         # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
-        voted = median_filter(np.asarray(field[which]), (1, _VOTERS, _VOTERS), mode="nearest")
-        voted = jnp.asarray(np.clip(voted, -limits[which], limits[which]))
+        voted = jnp.clip(_median(field[which]), -limits[which], limits[which])
         if which == _VELOCITY:
             longest = jnp.max(jnp.abs(pictures.after) * part)
             confidence = _confidence(information, longest)
@@ -82,6 +80,33 @@ def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tupl
         field = field.at[which].set(voted)
     velocity, acceleration = np.asarray(field)
     return Motion(velocity, acceleration, np.asarray(confidence))
+
+
+@jax.jit
+def _median(values: Float[Array, "c h w"]) -> Float[Array, "c h w"]:
+    """The median of the square of `_VOTERS` pixels a side around each; beyond the border values continue.
+
+    By Batcher's network of exchanges (Knuth, "The Art of Computer Programming", 5.2.2, algorithm M), of which those
+    that the middle one does not depend on fall away in compiling.
+    """
+    reach, (_, height, width) = _VOTERS // 2, values.shape
+    wide = jnp.pad(values, ((0, 0), (reach, reach), (reach, reach)), mode="edge")
+    sides = range(_VOTERS)
+    sorting = [wide[:, row : row + height, column : column + width] for row in sides for column in sides]
+    half = 1 << (len(sorting) - 1).bit_length() - 1
+    p = half
+    while p:
+        distance, q, bit = p, half, 0
+        while True:
+            for i in range(len(sorting) - distance):
+                if i & p == bit:
+                    one, other = sorting[i], sorting[i + distance]
+                    sorting[i], sorting[i + distance] = jnp.minimum(one, other), jnp.maximum(one, other)
+            if q == p:
+                break
+            distance, q, bit = q - p, q // 2, p
+        p //= 2
+    return sorting[len(sorting) // 2]
 
 
 def _by_chance(pictures: Stretches) -> Float[Array, "*hw"]:
@@ -146,12 +171,13 @@ def _refine(
         spread = now.spread[which, which] - beside * now.spread[0, 1]
         change = now.change[which] - beside * now.change[0]
         noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
-        information = smooth(spread[None, None] * now.slope[:, None] * now.slope[None], window) / noise[None, None]
+        products = jnp.stack([now.slope[0] ** 2, now.slope[0] * now.slope[1], now.slope[1] ** 2])
+        information = smooth(spread[None] * products, window) / noise[None]
         pull = -smooth(change[None] * now.slope, window) / noise[None]
         # As if it were known beforehand to within 2 px over the recording: decides only where nothing else does.
         prior = 0.01 * (lever / 2) ** 2
         pull = pull + prior * (base[which] - field[which])
-        a, b, d = information[0, 0] + prior, information[0, 1], information[1, 1] + prior
+        a, b, d = information[0] + prior, information[1], information[2] + prior
         determinant = a * d - b * b
         update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / determinant[None]
         length = jnp.sqrt((update**2).sum(0))

@@ -45,6 +45,10 @@ class Stretches:
             self._presmoothed[sigma] = Stretches(jnp.asarray(blurred), self.after, self.firing)
         return self._presmoothed[sigma]
 
+    def from_moment(self, after: float) -> "Stretches":
+        """The same pictures, with times counted from another moment, `after` so many frames."""
+        return Stretches(self.picture, self.after - after, self.firing, self.counted)
+
     def part(self, rows: slice, columns: slice) -> "Stretches":
         """The pictures of a part of the sensor."""
         firing = None if self.firing is None else self.firing[rows, columns]

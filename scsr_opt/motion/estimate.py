@@ -10,6 +10,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
+from scsr_opt.motion.carry import carry
 from scsr_opt.motion.dense import accelerated, dense
 from scsr_opt.motion.estimator import Estimator
 from scsr_opt.motion.evidence import (
@@ -22,7 +23,7 @@ from scsr_opt.motion.evidence import (
     missed,
     typical_noise,
 )
-from scsr_opt.motion.layers import layered
+from scsr_opt.motion.layers import layered, relabelled
 from scsr_opt.motion.parametric import moves_as_one, parametric
 from scsr_opt.motion.phase import PhaseCorrelation
 from scsr_opt.motion.trajectory import Motion
@@ -34,6 +35,10 @@ _TOLERATED_GLOBAL = 0.01
 # all. Slow pans, by half a sensor pixel to one and a half over the recording, had up to 0.03 by mistake; scenes with an
 # object before a background have 0.16 and more.
 _RESTING = 0.05
+# Where the key frame is farther from the middle of the pictures than this share of half their span, it lies at one end.
+# What is found in the middle of the recording then counts if no more than this share of the pixels contradict it of
+# those that contradict what is found from there.
+_ASIDE, _FEWER = 0.8, 0.75
 # The share of the pixels that has to be heard for silence to count as agreement.
 _HEARD = 0.5
 # What must be left of what contradicted the background, at most, for anything richer to be believed.
@@ -104,11 +109,24 @@ class Automatic(Estimator):
     skip: bool = True
 
     def __call__(self, pictures: Stretches) -> Motion:
+        first, last = float(pictures.after[0]), float(pictures.after[-1])
+        middle = (first + last) / 2
+        found, simple = self._chosen(pictures)
+        if simple or abs(middle) <= _ASIDE * (last - first) / 2:
+            return found
+        # From one end what moves is seen only to leave, or to come, and most of what it passes is hidden. So it is
+        # looked for in the middle, too, and followed to the key frame.
+        other = relabelled(pictures, carry(self._chosen(pictures.from_moment(middle))[0], -middle))
+        against, against_other = (contradicted(pictures, motion).sum() for motion in (found, other))
+        return other if against_other < _FEWER * against else found
+
+    def _chosen(self, pictures: Stretches) -> tuple[Motion, bool]:
+        """The motion, and whether it is none or one for all."""
         still = Motion.none(*pictures.picture.shape[1:])
         moving, resting = at_rest(pictures)
         rests = bool(moving.mean() <= TOLERATED_AT_REST) and not moves_as_one(pictures)
         if self.skip and rests:
-            return still
+            return still, True
         several = _takes_several(resting, moving)
         if self.skip and several:
             whole, left = still, moving
@@ -120,11 +138,11 @@ class Automatic(Estimator):
         possible = not several and (not silent or counts_agree(pictures, whole))
         serves = possible and bool(left.mean() <= _TOLERATED_GLOBAL)
         if self.skip and serves:
-            return whole
+            return whole, True
         of_whole = possible and bool(left.mean() < moving.mean() / 2)
         background, unexplained = (whole, left) if of_whole else (still, moving)
         richer = _apart(pictures, background, unexplained, self.skip)
-        return still if rests else whole if serves else richer
+        return (still, True) if rests else (whole, True) if serves else (richer, False)
 
 
 def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:

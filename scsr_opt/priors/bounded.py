@@ -30,7 +30,8 @@ class Bounded(Prior[BoundedState]):
     Intensity is not negative, and where white is known it does not exceed it: worth having where the data hold little
     (dark regions, few spikes), or where the picture goes on into something that needs a range.
 
-    The result of `prox` is always within the bounds. How exact it is otherwise:
+    The result of `prox` is always within the bounds, and so is the picture that a solver ends with. How exact `prox` is
+    otherwise:
     - For an `Analysis` prior the bounds take part in each of its dual steps, X = clip(f − λK*p) (Beck and Teboulle,
       2009, "Fast gradient-based algorithms for constrained total variation image denoising and deblurring"): as exact
       as without bounds, at the same cost.

@@ -13,9 +13,11 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import positive, whole
 
 Denoiser = Callable[[Float[Array, "H W"], Float[Array, ""]], Float[Array, "H W"]]
@@ -36,13 +38,41 @@ class NumpyDenoiser(eqx.Module):
     def __call__(self, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
         def on_host(words: Array, of_sigma: Array) -> np.ndarray:
             picture, level = _numbers(words, image.dtype), _numbers(of_sigma, sigma.dtype)
-            result = np.ascontiguousarray(self.function(picture, float(level)), dtype=image.dtype)
+            found = np.asarray(self.function(picture, float(level)))
+            if found.shape != picture.shape or found.dtype.kind != "f":
+                raise InputError(_no_picture(f"{found.dtype} of shape {found.shape}", picture.shape))
+            result = np.ascontiguousarray(found, dtype=image.dtype)
             return result[..., None].view(np.uint32) if result.dtype == np.float64 else result
 
         words = _words(image)
         like = jax.ShapeDtypeStruct(words.shape, words.dtype)
         denoised = jax.pure_callback(on_host, like, words, _words(sigma), vmap_method="sequential")
         return jax.lax.bitcast_convert_type(denoised, image.dtype)
+
+
+def denoised(denoiser: Denoiser, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
+    """What the denoiser makes of the picture, in the picture's dtype.
+
+    **Errors:** `InputError` where it cannot be called with JAX arrays, or gives no picture of this shape.
+    """
+    try:
+        result = denoiser(image, sigma)
+    except TypeError as error:  # those of JAX for what it cannot trace are among them
+        reason = str(error).strip().split("\n")[0].rstrip(".")
+        raise InputError(
+            f"The denoiser cannot be called as denoiser(image, sigma) with arrays of JAX ({reason}); a function of "
+            "NumPy arrays has to be wrapped: NumpyDenoiser(function)."
+        ) from error
+    shape, dtype = getattr(result, "shape", None), getattr(result, "dtype", None)
+    if shape is None or dtype is None:
+        raise InputError(_no_picture(type(result).__name__, image.shape))
+    if shape != image.shape or not jnp.issubdtype(dtype, jnp.floating):
+        raise InputError(_no_picture(f"{dtype} of shape {shape}", image.shape))
+    return jnp.asarray(result, image.dtype)
+
+
+def _no_picture(found: str, shape: tuple[int, ...]) -> str:
+    return f"The denoiser gave {found} for a picture of shape {shape}; it must give a float array of that shape."
 
 
 def _words(numbers: Array) -> Array:

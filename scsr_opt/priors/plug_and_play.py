@@ -5,7 +5,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt.priors.checks import divisible
-from scsr_opt.priors.denoisers import Denoiser
+from scsr_opt.priors.denoisers import Denoiser, denoised
 from scsr_opt.priors.prior import Prior
 
 
@@ -24,6 +24,8 @@ class PlugAndPlay(Prior[None]):
 
     **Fields:** `denoiser`: a callable (image, σ) → image, written in JAX, or a `NumpyDenoiser` of
     `scsr_opt.priors.denoisers`.
+
+    **Errors:** `InputError`, when it is used, for a denoiser that cannot be called so or gives no picture.
     """
 
     denoiser: Denoiser
@@ -46,4 +48,4 @@ class PlugAndPlay(Prior[None]):
     ) -> tuple[Float[Array, "H W"], None]:
         """The image denoised by σ = √strength; as it is where the strength is 0 (below 1e-19 in float32)."""
         off, strength = divisible(strength, image.dtype)
-        return jnp.where(off, image, self.denoiser(image, jnp.sqrt(strength))), None
+        return jnp.where(off, image, denoised(self.denoiser, image, jnp.sqrt(strength))), None

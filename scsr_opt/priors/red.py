@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt.priors.checks import positive, whole
-from scsr_opt.priors.denoisers import Denoiser
+from scsr_opt.priors.denoisers import Denoiser, denoised
 from scsr_opt.priors.prior import Prior
 
 
@@ -35,7 +35,8 @@ class RED(Prior[Array]):
     - `sigma`: σ > 0, in the picture's unit; Romano et al. take 0.01 to 0.02.
     - `iterations`: in each proximal step, ≥ 1.
 
-    **Errors:** `InputError` for a σ that is not positive and finite, or fewer than one iteration.
+    **Errors:** `InputError` for a σ that is not positive and finite, or fewer than one iteration; when it is used,
+    for a denoiser that cannot be called so or gives no picture.
     """
 
     denoiser: Denoiser
@@ -75,4 +76,4 @@ class RED(Prior[Array]):
         return result, result
 
     def _denoised(self, image: Array) -> Array:
-        return self.denoiser(image, jnp.asarray(self.sigma, image.dtype))
+        return denoised(self.denoiser, image, jnp.asarray(self.sigma, image.dtype))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
+from scsr_opt.priors.bounded import Bounded
 from scsr_opt.priors.checks import finite, whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
@@ -186,7 +187,10 @@ def run(
     finally:
         if progress is not None:
             progress.finish()
-    return Outcome(np.asarray(solver.image(state)), tuple(stages), result, state)
+    found, prior = np.asarray(solver.image(state)), problem.prior
+    if isinstance(prior, Bounded):  # splitting methods bound a copy, which the picture only tends to
+        found = found.clip(prior.lower, prior.upper)
+    return Outcome(found, tuple(stages), result, state)
 
 
 def _check_state(solver: Solver, problem: Problem, state: Any) -> None:

@@ -183,3 +183,22 @@ def test_red_gives_its_sigma_and_keeps_the_dtype(oracle):
 def test_refuses_what_makes_no_sense(make):
     with pytest.raises(InputError, match="was given"):
         make()
+
+
+@pytest.mark.parametrize("prior", [PlugAndPlay, RED])
+@pytest.mark.parametrize(
+    ("denoiser", "message"),
+    [
+        (lambda image, σ: image[:1], r"gave float32 of shape \(1, 5\) for a picture of shape \(4, 5\)"),
+        (lambda image, σ: jnp.zeros(()), r"gave float32 of shape \(\)"),
+        (lambda image, σ: image > 0, "gave bool"),
+        (lambda image, σ: [image], "gave list"),
+        (lambda image: image, r"cannot be called as denoiser\(image, sigma\)"),
+        (lambda image, σ: np.asarray(image), r"cannot be called .*NumpyDenoiser\(function\)"),
+    ],
+)
+def test_a_denoiser_that_gives_no_picture_is_refused(prior, denoiser, message):
+    image = jnp.zeros((4, 5))
+    made = prior(denoiser)
+    with pytest.raises(InputError, match=message):
+        jax.jit(lambda f: made.prox(f, 0.1, made.initial_state(f))[0])(image)

@@ -269,3 +269,10 @@ def test_a_first_picture_that_is_not_finite_is_refused(value, case):
 
 def test_the_loop_is_shared():
     assert all(issubclass(solver, loop.Solver) for solver in SOLVERS.values())
+
+
+@pytest.mark.parametrize("make", [FISTA, solvers.ADMM, solvers.JaxoptADMM, solvers.CondatVu, solvers.ChambollePock])
+def test_the_picture_is_within_bounds_however_early_it_ends(make, case):
+    prior = Bounded(TotalVariation(), 0.3, 0.6)
+    image = run(make(iterations=3), Problem(case.problem.data, prior, case.problem.strength), case.start).image
+    assert (image.min(), image.max()) == (np.float32(0.3), np.float32(0.6))

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from scsr_opt.priors.checks import positive, whole
+from scsr_opt.errors import InputError
+from scsr_opt.priors.checks import finite, whole
 
 
 class LinearSolve(eqx.Module):
@@ -55,7 +56,10 @@ class JaxoptConjugateGradients(LinearSolve):
     tolerance: float | int = 0.1
 
     def __check_init__(self):
-        positive(type(self).__name__, "the tolerance", self.tolerance)
+        if not finite(self.tolerance) >= 0:
+            raise InputError(
+                f"{type(self).__name__} was given tolerance {self.tolerance!r}; it is a relative measure of at least 0."
+            )
 
     def __call__(self, normal: Callable[[Array], Array], wanted: Float[Array, "H W"]) -> Float[Array, "H W"]:
         with warnings.catch_warnings():

@@ -104,6 +104,23 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
     return min(early, frames // 5), frames - 1 - min(late, frames // 5)
 
 
+def along(
+    picture: Float[Array, "h w"],
+    after: Float[Array, ""],
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    """The picture of a moment, `after` so many frames, moved to the key frame by a motion (sensor pixels per frame and
+    per frame²), and 1 where what a pixel shows is in view then, 0 where it is not."""
+    height, width = picture.shape
+    # Rows and columns apart: as one array of places, a pass took five times as long.
+    (down, right), (down_more, right_more) = velocity, acceleration
+    row = jnp.arange(height, dtype=picture.dtype)[:, None] + after * down + 0.5 * after**2 * down_more
+    column = jnp.arange(width, dtype=picture.dtype)[None] + after * right + 0.5 * after**2 * right_more
+    inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+    return bilinear(picture[None], row, column)[0], inside.astype(picture.dtype)
+
+
 class Drift(NamedTuple):
     """The pictures along a motion, reduced to what an update of the motion needs.
 
@@ -129,26 +146,13 @@ def drift(
 ) -> Drift:
     """`Drift` of the pictures along a motion, (velocity, acceleration), or at rest. Moments with `taking_part` 0 are
     left out."""
-    height, width = pictures.shape[1:]
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
-    row, column = jnp.meshgrid(
-        jnp.arange(height, dtype=after.dtype), jnp.arange(width, dtype=after.dtype), indexing="ij"
-    )
-
-    def seen_at(k: Array) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-        """The picture of a moment at what each pixel shows in the key frame, and how far it takes part."""
-        if motion is None:
-            return pictures[k], jnp.full_like(about, taking_part[k])
-        (down, right), (down_more, right_more) = motion
-        here = row + after[k] * down + 0.5 * after[k] ** 2 * down_more
-        there = column + after[k] * right + 0.5 * after[k] ** 2 * right_more
-        inside = (here >= 0) & (there >= 0) & (here <= height - 1) & (there <= width - 1)
-        return bilinear(pictures[k][None], here, there)[0], jnp.where(inside, taking_part[k], 0)
 
     def add(k: Array, sums: list[Array]) -> list[Array]:
-        value, weight = seen_at(k)
-        value, tau = value - about, after[k]
+        tau = after[k]
+        value, inside = (pictures[k], jnp.ones_like(about)) if motion is None else along(pictures[k], tau, *motion)
+        value, weight = value - about, taking_part[k] * inside
         weighted = weight * value
         powers = [weight, weight * tau, weight * tau**2, weight * tau**3, weight * tau**4]
         values = [weighted, weighted * tau, weighted * (tau**2 / 2), weighted * value]
@@ -191,14 +195,14 @@ def smooth(values: Float[Array, "... h w"], sigma: Float[Array, ""]) -> Float[Ar
     """
     sigma = sigma.astype(values.dtype)
     reach = jnp.minimum(jnp.ceil(3 * sigma).astype(jnp.int32), _REACH)
-    passes = -(-(2 * _REACH + 1) // _AT_ONCE)
-    offsets = jnp.arange(passes * _AT_ONCE, dtype=jnp.int32) - _REACH
+    # The last pass may begin at the last tap.
+    offsets = jnp.arange(2 * _REACH + _AT_ONCE, dtype=jnp.int32) - _REACH
     distance = offsets.astype(values.dtype) / sigma
     taps = jnp.where(jnp.abs(offsets) <= reach, jnp.exp(-0.5 * distance**2), 0)
     taps = taps / taps.sum()
     for axis in (values.ndim - 2, values.ndim - 1):
         border = [(0, 0)] * values.ndim
-        border[axis] = (_REACH, passes * _AT_ONCE - _REACH - 1)
+        border[axis] = (_REACH, _REACH + _AT_ONCE - 1)
         wide = jnp.pad(values, border, mode="edge")
         length = values.shape[axis]
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
-from scsr_opt.motion.alignment import Stretches, drift
+from scsr_opt.motion.alignment import Stretches, along, drift
 from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
@@ -287,18 +287,9 @@ def _sides(
     Mean square in units of `noise`, cut off. Moments within 20 frames count less, for there all motions agree.
     """
     height, width = pictures.shape[1:]
-    rows, columns = jnp.meshgrid(
-        jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
-    )
-
-    def along(picture: Array, tau: Array) -> tuple[Array, Array]:
-        row = rows + tau * velocity[0] + 0.5 * tau**2 * acceleration[0]
-        column = columns + tau * velocity[1] + 0.5 * tau**2 * acceleration[1]
-        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-        return bilinear(picture[None], row, column)[0], inside.astype(jnp.float32)
 
     def average(sums: tuple[Array, Array], one: tuple[Array, Array]):
-        value, inside = along(*one)
+        value, inside = along(*one, velocity, acceleration)
         weight = inside * jnp.exp(-0.5 * (one[1] / 6) ** 2)
         return (sums[0] + weight * value, sums[1] + weight), None
 
@@ -307,7 +298,7 @@ def _sides(
     reference = total / jnp.maximum(weight, 1e-6)
 
     def compare(sums: tuple[Array, Array], one: tuple[Array, Array]):
-        value, inside = along(*one)
+        value, inside = along(*one, velocity, acceleration)
         side = jnp.stack([one[1] < 0, one[1] >= 0]).astype(jnp.float32)[:, None, None]
         side = side * jnp.minimum(jnp.abs(one[1]) / 20, 1) * inside[None]
         difference = jnp.minimum((value - reference) ** 2 / noise, _ENOUGH)

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from scsr_opt.motion.alignment import Stretches, smooth
+from scsr_opt.motion.alignment import Stretches, along, smooth
 from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest
-from scsr_opt.motion.trajectory import Motion, Trust, bilinear
+from scsr_opt.motion.trajectory import Motion, Trust
 
 # The pictures are compared after this presmoothing (sensor pixels): coarse enough that aliasing between pixels does not
 # count as disagreement. Squared differences are averaged over the neighbourhood.
@@ -62,19 +62,7 @@ def _share(
     acceleration: Float[Array, "2 h w"],
     lag: Int[Array, ""],
 ) -> Float[Array, "n h w"]:
-    height, width = pictures.shape[1:]
-    rows, columns = jnp.meshgrid(
-        jnp.arange(height, dtype=jnp.float32), jnp.arange(width, dtype=jnp.float32), indexing="ij"
-    )
-
-    def along(one: tuple[Array, Array]) -> tuple[Array, Array]:
-        picture, tau = one
-        row = rows + tau * velocity[0] + 0.5 * tau**2 * acceleration[0]
-        column = columns + tau * velocity[1] + 0.5 * tau**2 * acceleration[1]
-        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-        return bilinear(picture[None], row, column)[0], inside.astype(jnp.float32)
-
-    values, inside = jax.lax.map(along, (pictures, moments))
+    values, inside = jax.lax.map(lambda one: along(*one, velocity, acceleration), (pictures, moments))
     near = jnp.exp(-0.5 * (moments / _PRESENT) ** 2)[:, None, None] * inside
     # The nearest moment always takes part, however far it is.
     near = near + 1e-6 * (jnp.abs(moments) == jnp.min(jnp.abs(moments))).astype(jnp.float32)[:, None, None]

@@ -41,6 +41,14 @@ def positive(owner: str, name: str, given: float | int, most: float | int = math
     return found
 
 
+def checked_tolerance(owner: str, given: float | int) -> None:
+    """**Errors:** `InputError` unless `given` is a finite number of at least 0."""
+    if not finite(given) >= 0:
+        raise InputError(
+            f"{owner} was given tolerance {given!r}; it is a relative measure of at least 0 (0: use all iterations)."
+        )
+
+
 def divisible(strength: Float[ArrayLike, ""], dtype: DTypeLike) -> tuple[Bool[Array, ""], Float[Array, ""]]:
     """Whether the strength is so small (below 1e-19 in float32) that it counts as 0, and one to calculate with.
 

@@ -37,6 +37,10 @@ class Prior(eqx.Module, Generic[State]):
         """Ψ(image), `image` and `state` being what a proximal step gave: for priors that know it by then."""
         return self.value(image)
 
+    def clip(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """The nearest picture at which Ψ is finite: the picture itself, for priors that are finite everywhere."""
+        return image
+
     @abc.abstractmethod
     def initial_state(self, image: Float[Array, "H W"]) -> State:
         """The state from which a first proximal step on a picture like `image` starts."""

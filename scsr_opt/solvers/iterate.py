@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors.bounded import Bounded
-from scsr_opt.priors.checks import finite, whole
+from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.linear_solve import LinearSolve
@@ -68,11 +67,7 @@ class Solver(eqx.Module, Generic[State]):
             given = getattr(self, part, None)
             if given is not None and not isinstance(given, kind):
                 raise InputError(f"{name} was given {part}={given!r}; it must be a {kind.__name__}, such as {example}.")
-        if not finite(self.tolerance) >= 0:
-            raise InputError(
-                f"{type(self).__name__} was given tolerance {self.tolerance!r}; it is a relative measure of at "
-                "least 0 (0: use all iterations)."
-            )
+        checked_tolerance(name, self.tolerance)
 
     def check(self, prior: Prior) -> None:
         """Raises `InputError` for a prior that it cannot use."""
@@ -187,10 +182,9 @@ def run(
     finally:
         if progress is not None:
             progress.finish()
-    found, prior = np.asarray(solver.image(state)), problem.prior
-    if isinstance(prior, Bounded):  # splitting methods bound a copy, which the picture only tends to
-        found = found.clip(prior.lower, prior.upper)
-    return Outcome(found, tuple(stages), result, state)
+    # Splitting methods keep to bounds in a copy, which the picture only tends to.
+    found = problem.prior.clip(solver.image(state))
+    return Outcome(np.asarray(found), tuple(stages), result, state)
 
 
 def _check_state(solver: Solver, problem: Problem, state: Any) -> None:

@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import finite, whole
+from scsr_opt.priors.checks import checked_tolerance, whole
 
 
 class LinearSolve(eqx.Module):
@@ -56,10 +55,7 @@ class JaxoptConjugateGradients(LinearSolve):
     tolerance: float | int = 0.1
 
     def __check_init__(self):
-        if not finite(self.tolerance) >= 0:
-            raise InputError(
-                f"{type(self).__name__} was given tolerance {self.tolerance!r}; it is a relative measure of at least 0."
-            )
+        checked_tolerance(type(self).__name__, self.tolerance)
 
     def __call__(self, normal: Callable[[Array], Array], wanted: Float[Array, "H W"]) -> Float[Array, "H W"]:
         with warnings.catch_warnings():

@@ -99,7 +99,8 @@ class Dense(Estimator):
 class Automatic(Estimator):
     """The simplest motion that the recording does not contradict: none, one motion for all, or layers.
 
-    Few numbers are estimated far better than many, so the richer ones are used only where they are needed.
+    Few numbers are estimated far better than many, so the richer ones are used only where they are needed. Where the
+    key frame lies at one end of the recording, what moves apart is looked for from its middle as well.
 
     **Fields:** `skip`: richer ones are not even tried where a simpler one serves, and what moves apart from the
     background is looked for around the pixels that contradict the background only. Otherwise all are estimated for the

@@ -259,8 +259,9 @@ def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 
     if layers is None:
         position = inverse(motion.velocity, motion.acceleration, after)
         return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
-    shape = (after.size, *layers.label.shape)
-    position, part = jnp.zeros((after.size, 2, *layers.label.shape), after.dtype), jnp.full(shape, -1, after.dtype)
+    moments, shape = after.size, layers.label.shape
+    position = jnp.zeros((moments, 2, *shape), after.dtype)
+    part = jnp.full((moments, *shape), -1, after.dtype)
     for k in np.argsort(-layers.depth, kind="stable"):
         here = inverse(layers.velocity[k], layers.acceleration[k], after)
         member = jnp.asarray((layers.label == k).astype(np.float32))
@@ -337,6 +338,7 @@ def inverse(
 def _translated(
     velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
 ) -> Float[Array, "n 2 h w"]:
+    """`inverse` where all move alike."""
     here = jnp.indices(velocity.shape[1:], velocity.dtype)[None]
     after = after[:, None, None, None]
     return here - (velocity[None] * after + acceleration[None] * (0.5 * after**2))
@@ -346,6 +348,7 @@ def _translated(
 def _iterated(
     velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"] | None, after: Float[Array, " n"]
 ) -> Float[Array, "n 2 h w"]:
+    """`inverse` by iteration; `acceleration` None for one of zero."""
     here = jnp.indices(velocity.shape[1:], velocity.dtype)
     # Looking up takes most of the time, and a field of zeros need not be.
     field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])

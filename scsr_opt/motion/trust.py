@@ -62,7 +62,7 @@ def _share(
     acceleration: Float[Array, "2 h w"],
     lag: Int[Array, ""],
 ) -> Float[Array, "n h w"]:
-    values, inside = jax.lax.map(lambda one: along(*one, velocity, acceleration), (pictures, moments))
+    values, inside = jax.lax.map(lambda one: along(one[0], one[1], velocity, acceleration), (pictures, moments))
     near = jnp.exp(-0.5 * (moments / _PRESENT) ** 2)[:, None, None] * inside
     # The nearest moment always takes part, however far it is.
     near = near + 1e-6 * (jnp.abs(moments) == jnp.min(jnp.abs(moments))).astype(jnp.float32)[:, None, None]

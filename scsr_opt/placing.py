@@ -37,6 +37,8 @@ _POSITIONS, _SPACING = (5, 3, 1), 0.375
 # What they show is then blurred by up to a sensor pixel of motion; at this share it is no object: a hundred pixels of a
 # million.
 _FEW_LONG = 1e-4
+# The parts of all samples, padding and all, that those with several positions are taken to make up.
+_SHARES = 0.125, 0.25, 0.5, 0.75, 1.0
 # Standard deviation, sensor pixels, over which the light of pixels is averaged to tell their noise.
 _NEIGHBOURS = 1.5
 
@@ -198,16 +200,19 @@ def measured(
     if isinstance(measuring, Intervals) and measuring.noise is not None:
         weight = measuring.noise.weights(samples, _mean_light(stream))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
-    order, positions = _longest_first(samples, fastest)
+    order, positions = _longest_first(samples, path)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
+    several = np.count_nonzero(positions > 1)
     placed = place(
         jax.tree.map(jnp.asarray, padded),
         path,
         scale=scale,
         shape=(scale * height, scale * width),
         positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
-        finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
+        finest=_POSITIONS[0] if several else 1,
+        # In one of few shares, as programs depend on it.
+        extended=next(int(part * padded.row.size) for part in _SHARES if part * padded.row.size >= several),
     )
     return Measurements(samples, light, padded, placed, still_for, path)
 
@@ -219,13 +224,11 @@ def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
     return gaussian_filter(rate, _NEIGHBOURS) / np.maximum(gaussian_filter(good, _NEIGHBOURS), 1e-3)
 
 
-def _longest_first(
-    samples: Samples, speed: Float[np.ndarray, "h w"]
-) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """The samples' numbers, and how many positions each gets along its exposure, those with most first; `speed` in
-    sensor pixels per frame."""
+def _longest_first(samples: Samples, path: Trajectory) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """The samples' numbers, and how many positions each gets along its exposure, those with most first."""
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = speed[samples.row, samples.column] * (samples.stop - samples.start)
+        speed = path.fastest_during(samples.row, samples.column, samples.start, samples.stop)
+        moved = speed * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
     for k in _POSITIONS[1:]:
         level += k * _SPACING <= moved

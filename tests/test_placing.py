@@ -1,5 +1,6 @@
 """Which samples get how many positions along their exposure, and which pixels' intervals are merged."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -8,6 +9,7 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
+from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.placing import Measurements, _longest_first, measured, stream_around
 
 HEIGHT, WIDTH, FRAMES = 24, 32, 65
@@ -40,6 +42,18 @@ def test_each_exposure_gets_the_positions_that_its_motion_needs(spikes):
     assert measurements(spikes, 0.0).placed.finest == 1
 
 
+def test_a_pixel_before_which_something_passes_needs_more_positions_only_then():
+    """At rest but for one step of the trajectory, from frame 20 to 24."""
+    position = np.zeros((16, 2, 3, 4), np.float32)
+    position[6:, 1, 1, 2] = 2.0
+    path = Trajectory(jnp.float32(0), jnp.asarray(position), jnp.ones((16, 3, 4)))
+    # Before it, in it, after it, beyond the moments, over all of it, and next to it.
+    row, column = np.full(6, 1, np.int32), np.array([2, 2, 2, 2, 2, 1], np.int32)
+    start, stop = np.array([[4, 7], [21, 23], [25, 28], [58, 62], [2, 50], [21, 23]], np.float32).T
+    np.testing.assert_allclose(path.fastest_during(row, column, start, stop), [0, 0.5, 0, 0, 0.5, 0])
+    np.testing.assert_allclose(path.fastest[1], [0, 0, 0.5, 0])
+
+
 def test_samples_and_their_places_stay_together(spikes):
     """Sorted by what they need or not: the same samples, each at its own place."""
     taken = measurements(spikes, 0.25)
@@ -47,8 +61,8 @@ def test_samples_and_their_places_stay_together(spikes):
     for field in ("row", "column", "start", "stop", "value", "weight"):
         np.testing.assert_array_equal(getattr(taken.padded, field)[:n], getattr(taken.samples, field))
     np.testing.assert_array_equal(np.asarray(taken.placed.value), taken.padded.value)
-    row, column = np.divmod(np.asarray(taken.placed.taps.index[0])[:n], 2 * WIDTH)
-    column = column + np.asarray(taken.placed.taps.right[0])[:n]
+    row, column = np.divmod(np.asarray(taken.placed.taps.index)[:n], 2 * WIDTH)
+    column = column + np.asarray(taken.placed.taps.right)[:n]
     # Trajectories begin and end with the recording.
     time = np.clip((taken.samples.start + taken.samples.stop) / 2, 0, FRAMES - 1) - 32
     used = np.asarray(taken.placed.weight)[:n] > 0
@@ -76,9 +90,10 @@ def test_few_exposures_that_are_a_little_long_do_not_put_all_through_corrections
     row, column = np.divmod(np.arange(20_000, dtype=np.int32), 200)
     ones = np.ones(row.size, np.float32)
     samples = Samples(row, column, 0 * ones, ones, 0.5 * ones, ones)
-    speed = np.zeros((100, 200), np.float32)
-    speed[7, 40 : 40 + pixels] = moved
-    order, found = _longest_first(samples, speed)
+    position = np.zeros((2, 2, 100, 200), np.float32)
+    position[1, 1, 7, 40 : 40 + pixels] = SPACING * moved
+    path = Trajectory(jnp.float32(0), jnp.asarray(position), jnp.ones((2, 100, 200)))
+    order, found = _longest_first(samples, path)
     assert set(found.tolist()) == positions
     if len(positions) > 1:
         assert (row[order[:pixels]] == 7).all() and (found[:pixels] > 1).all()

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 # Frames between two moments at which the inverse is computed. Between them it is taken as straight; with an
 # acceleration a that is wrong by at most a·(spacing)²/8, a thousandth of a pixel for a turn of 0.01 rad per frame at
@@ -155,15 +155,23 @@ class Trajectory(eqx.Module):
     position: Float[Array, "n 2 h w"]
     visible: Float[Array, "n h w"]
 
-    def at(
-        self, row: Array, column: Array, time: Float[Array, " m"]
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
-        """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`."""
-        moments, _, height, width = self.position.shape
-        # One pixel's moments lie together: samples come pixel by pixel, so what they read is near what was read before.
+    @property
+    def tables(self) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
+        """Rows, columns and visibility, one pixel's moments after another's: samples come pixel by pixel, so what they
+        read is near what was read before."""
         # Each number is looked up by itself: rows of three together took three times as long.
-        fields = (self.position[:, 0], self.position[:, 1], self.visible)
-        tables = [jnp.moveaxis(field, 0, -1).reshape(height * width * moments) for field in fields]
+        down, right, visible = (
+            jnp.moveaxis(field, 0, -1).reshape(-1) for field in (self.position[:, 0], self.position[:, 1], self.visible)
+        )
+        return down, right, visible
+
+    def at(
+        self, row: Array, column: Array, time: Float[Array, " m"], tables: tuple[Array, Array, Array] | None = None
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
+        """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`;
+        `tables`: its own, where they are at hand."""
+        tables = self.tables if tables is None else tables
+        moments, _, _, width = self.position.shape
         pixel = (row * width + column) * moments
         if moments == 1:
             index, fraction, following = pixel, jnp.zeros_like(time), pixel
@@ -201,6 +209,25 @@ class Trajectory(eqx.Module):
             return np.zeros(self.position.shape[2:], np.float32)
         return np.asarray(_fastest(self.position))
 
+    def fastest_during(
+        self,
+        row: Int[np.ndarray, " n"],
+        column: Int[np.ndarray, " n"],
+        start: Float[np.ndarray, " n"],
+        stop: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, " n"]:
+        """`fastest` from start to stop of exposures: of the moments around these, or of all where more lie between."""
+        moments, _, height, width = self.position.shape
+        pixel = row * np.int32(width) + column
+        if moments == 1:
+            return np.zeros(row.shape, np.float32)
+        # Of each step and the next; in a last row, of all.
+        steps = np.asarray(_speeds(self.position)).reshape(moments, height * width)
+        first = np.clip((start - np.float32(self.first)) / SPACING, 0, moments - 2).astype(np.int32)
+        last = np.clip((stop - np.float32(self.first)) / SPACING, 0, moments - 2).astype(np.int32)
+        which = np.where(last <= first + 1, first, np.int32(moments - 1))
+        return steps.reshape(-1)[which * np.int32(height * width) + pixel]
+
     @property
     def unsteady(self) -> Float[np.ndarray, "h w"]:
         """How fast the visibility of what a pixel sees changes at most, per frame."""
@@ -234,6 +261,14 @@ def _fastest(position: Float[Array, "n 2 h w"]) -> Float[Array, "h w"]:
     return jnp.sqrt(jnp.max(jnp.sum(steps**2, axis=1), axis=0)) / SPACING
 
 
+@jax.jit
+def _speeds(position: Float[Array, "n 2 h w"]) -> Float[Array, "n h w"]:
+    """The larger of each step's speed and the next one's, then the largest of all, sensor pixels per frame."""
+    speed = jnp.sqrt(jnp.sum((position[1:] - position[:-1]) ** 2, axis=1)) / SPACING
+    following = jnp.concatenate([speed[1:], speed[-1:]])
+    return jnp.concatenate([jnp.maximum(speed, following), speed.max(0)[None]])
+
+
 # A point counts as part of a layer if, between pixel centres, this share of it is; from the second share on it counts
 # fully. In between, a sensor pixel sees two surfaces at once.
 _PART, _WHOLE = 0.5, 0.9
@@ -259,14 +294,35 @@ def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 
     if layers is None:
         position = inverse(motion.velocity, motion.acceleration, after)
         return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
-    moments, shape = after.size, layers.label.shape
-    position = jnp.zeros((moments, 2, *shape), after.dtype)
-    part = jnp.full((moments, *shape), -1, after.dtype)
-    for k in np.argsort(-layers.depth, kind="stable"):
-        here = inverse(layers.velocity[k], layers.acceleration[k], after)
-        member = jnp.asarray((layers.label == k).astype(np.float32))
-        position, part = _behind(position, part, here, member)
-    return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
+    nearest = np.argsort(-layers.depth, kind="stable")
+    velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
+    member = (layers.label == nearest[:, None, None]).astype(np.float32)
+    alike = np.array([_alike(v, a) for v, a in zip(velocity, acceleration, strict=True)])
+    return _seen(velocity, acceleration if acceleration.any() else None, alike, member, after)
+
+
+@jax.jit
+def _seen(
+    velocity: Float[Array, "layers 2 h w"],
+    acceleration: Float[Array, "layers 2 h w"] | None,
+    alike: Bool[Array, " layers"],
+    member: Float[Array, "layers h w"],
+    after: Float[Array, " n"],
+) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
+    """`seen_at` of layers, the nearest first; moment by moment, so that pictures stay in the cache."""
+
+    def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 h w"], Float[Array, "h w"]]:
+        position = jnp.zeros(velocity.shape[1:], velocity.dtype)
+        part = jnp.full(velocity.shape[2:], -1, velocity.dtype)
+        for k in range(len(velocity)):
+            here = _inverse(velocity[k], None if acceleration is None else acceleration[k], alike[k], tau)
+            belongs = bilinear(member[k][None], here[0], here[1])[0]
+            # Where no layer is certain, the one that is most so far counts.
+            better = (part <= _PART) & (belongs > part)
+            position, part = jnp.where(better[None], here, position), jnp.where(better, belongs, part)
+        return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
+
+    return jax.lax.map(one, after)
 
 
 def _believed(
@@ -298,20 +354,6 @@ def _times_share(
     return jax.lax.map(one, (visible, position, after))
 
 
-@jax.jit
-def _behind(
-    position: Float[Array, "n 2 h w"],
-    part: Float[Array, "n h w"],
-    here: Float[Array, "n 2 h w"],
-    membership: Float[Array, "h w"],
-) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
-    """Position, and how far that belongs to its layer, after one more layer behind the others."""
-    member = jax.lax.map(lambda q: bilinear(membership[None], q[0], q[1])[0], here)
-    # Where no layer is certain, the one that is most so far counts.
-    better = (part <= _PART) & (member > part)
-    return jnp.where(better[:, None], here, position), jnp.where(better, member, part)
-
-
 # Fixed-point iterations of `inverse`, and the change, sensor pixels, after which no more are done.
 _REFINEMENTS, _STILL = 8, 1e-4
 
@@ -328,48 +370,49 @@ def inverse(
     but for motion boundaries, where the inverse is not unique anyway. It ends when nothing moves by `_STILL` any more,
     or after `_REFINEMENTS`.
     """
-    v, a = jnp.asarray(velocity), jnp.asarray(acceleration)
-    if all(np.ptp(field, axis=(1, 2)).max() == 0 for field in (np.asarray(velocity), np.asarray(acceleration))):
-        return _translated(v, a, after)
-    return _iterated(v, a if np.any(acceleration) else None, after)
-
-
-@jax.jit
-def _translated(
-    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], after: Float[Array, " n"]
-) -> Float[Array, "n 2 h w"]:
-    """`inverse` where all move alike."""
-    here = jnp.indices(velocity.shape[1:], velocity.dtype)[None]
-    after = after[:, None, None, None]
-    return here - (velocity[None] * after + acceleration[None] * (0.5 * after**2))
-
-
-@jax.jit
-def _iterated(
-    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"] | None, after: Float[Array, " n"]
-) -> Float[Array, "n 2 h w"]:
-    """`inverse` by iteration; `acceleration` None for one of zero."""
-    here = jnp.indices(velocity.shape[1:], velocity.dtype)
+    alike = jnp.asarray(_alike(np.asarray(velocity), np.asarray(acceleration)))
     # Looking up takes most of the time, and a field of zeros need not be.
+    return _inverses(velocity, acceleration if np.any(acceleration) else None, alike, after)
+
+
+def _alike(velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"]) -> bool:
+    return all(np.ptp(field, axis=(1, 2)).max() == 0 for field in (velocity, acceleration))
+
+
+@jax.jit
+def _inverses(
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"] | None,
+    alike: Bool[Array, ""],
+    after: Float[Array, " n"],
+) -> Float[Array, "n 2 h w"]:
+    return jax.lax.map(lambda tau: _inverse(velocity, acceleration, alike, tau), after)
+
+
+def _inverse(
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"] | None,
+    alike: Bool[Array, ""],
+    tau: Float[Array, ""],
+) -> Float[Array, "2 h w"]:
+    """`inverse` for one moment; `acceleration` None for one of zero, `alike` true where all pixels move alike."""
+    here = jnp.indices(velocity.shape[1:], velocity.dtype)
     field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])
 
-    def one(tau: Float[Array, ""]) -> Float[Array, "2 h w"]:
-        def refine(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            q, done, _ = carry
-            found = bilinear(field, q[0], q[1])
-            displacement = found[:2] * tau
-            if acceleration is not None:
-                displacement += found[2:] * (0.5 * tau**2)
-            better = here - displacement
-            return better, done + 1, jnp.max(jnp.abs(better - q))
+    def displaced(found: Float[Array, "c h w"]) -> Float[Array, "2 h w"]:
+        displacement = found[:2] * tau
+        return here - (displacement if acceleration is None else displacement + found[2:] * (0.5 * tau**2))
 
-        def go_on(carry: tuple[Array, Array, Array]) -> Array:
-            return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
+    def refine(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        q, done, _ = carry
+        better = displaced(bilinear(field, q[0], q[1]))
+        return better, done + 1, jnp.max(jnp.abs(better - q))
 
-        begin = here, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
-        return jax.lax.while_loop(go_on, refine, begin)[0]
+    def go_on(carry: tuple[Array, Array, Array]) -> Array:
+        return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
 
-    return jax.lax.map(one, after)
+    begin = here, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
+    return jax.lax.cond(alike, lambda: displaced(field), lambda: jax.lax.while_loop(go_on, refine, begin)[0])
 
 
 def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:

@@ -5,7 +5,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from scsr_opt.motion import Motion, trajectory_of
-from scsr_opt.motion.trajectory import _iterated, inverse
+from scsr_opt.motion.trajectory import _inverses, inverse
 
 H, W, KEY, FRAMES = 40, 60, 50, 101
 ROWS, COLUMNS = np.mgrid[0:H, 0:W]
@@ -49,14 +49,14 @@ def test_what_moves_all_alike_is_found_at_once_as_by_iteration():
                               ((0.2, -0.13), (1e-3, 2e-3)))  # fmt: skip
     path = trajectory_of(Motion(velocity, acceleration, np.ones((H, W), np.float32)), key=KEY, start=0, stop=FRAMES)
     after = jnp.arange(path.position.shape[0], dtype=jnp.float32) * 4 - KEY
-    slowly = _iterated(jnp.asarray(velocity), jnp.asarray(acceleration), after)
+    slowly = _inverses(jnp.asarray(velocity), jnp.asarray(acceleration), jnp.asarray(False), after)
     np.testing.assert_allclose(path.position, slowly, atol=1e-5)  # rounding of positions up to 100
     assert (np.asarray(path.visible) == 1).all()
 
 
 def test_without_an_acceleration_the_inverse_is_that_of_one_of_zero(smooth):
     velocity, after = jnp.asarray(smooth.velocity), jnp.asarray([-30.0, 7.0])
-    slowly = _iterated(velocity, jnp.zeros_like(velocity), after)
+    slowly = _inverses(velocity, jnp.zeros_like(velocity), jnp.asarray(False), after)
     # Each ends within 1e-4 of the next iteration.
     np.testing.assert_allclose(inverse(velocity, jnp.zeros_like(velocity), after), slowly, atol=2e-4)
 

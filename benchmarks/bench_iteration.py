@@ -85,8 +85,7 @@ def plain_accumulation(placed: PlacedSamples) -> tuple[Float[np.ndarray, "5 H W"
         (0, 0, 0, 0), (0, 1, 1, 1), (0, 2, 2, 2), (0, 3, 3, 3),
         (1, 0, 0, 1), (1, 2, 2, 3), (2, 1, 1, 2), (3, 0, 0, 2), (3, 1, 1, 3), (4, 0, 0, 3),
     )  # fmt: skip
-    for number in range(placed.finest):
-        index, down, right = map(np.asarray, jax.tree.leaves(placed.position(number)))
+    for index, down, right in zip(*map(np.asarray, jax.tree.leaves(placed.taps)), strict=True):
         taps = ((1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right)
         for offset, tap in zip(around, taps, strict=True):
             target += np.bincount(index + offset, weight * tap * value, size)

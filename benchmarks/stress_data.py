@@ -147,7 +147,7 @@ def addends(case: Case) -> int:
     """The most numbers that were added up for one entry of M or c."""
     placed = placed_of(case)
     used = np.asarray(placed.weight) > 0
-    corner, width = np.asarray(placed.taps.index)[used], placed.shape[1]
+    corner, width = np.asarray(placed.taps.index)[0][used], placed.shape[1]
     taps = np.concatenate([corner + offset for offset in (0, 1, width, width + 1)])
     return int(np.bincount(taps).max(initial=0)) if taps.size else 0
 

@@ -83,8 +83,8 @@ class SpikeInputs(eqx.Module):
         """What the iteration is given if the blocks measure `values`."""
         shape = (self.image.shape[0], self.image.shape[1])
         measured = values.reshape(-1)
-        taps = Taps(self.index, self.down, self.right)
-        placed = PlacedSamples.at_once(taps, measured, self.weight, scale, shape)
+        taps = Taps(self.index[None], self.down[None], self.right[None])
+        placed = PlacedSamples(taps, jnp.ones_like(self.index), measured, self.weight, scale, shape)
         weighted = self.weight * measured
         energy = jnp.sum(weighted * measured)
         term = DataTerm(Stencil(self.planes[0]), placed.spread(weighted), energy, Aperture(shape, scale), None)
@@ -143,9 +143,9 @@ def make_spike_inputs(
     return SpikeInputs(
         blocks,
         jnp.asarray(stream.white_rate, jnp.float32),
-        placed.taps.index,
-        placed.taps.down,
-        placed.taps.right,
+        placed.taps.index[0],
+        placed.taps.down[0],
+        placed.taps.right[0],
         placed.weight,
         jnp.stack(members) if members else jnp.zeros((0, time.size)),
         jnp.stack(planes),

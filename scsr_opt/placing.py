@@ -37,8 +37,6 @@ _POSITIONS, _SPACING = (5, 3, 1), 0.375
 # What they show is then blurred by up to a sensor pixel of motion; at this share it is no object: a hundred pixels of a
 # million.
 _FEW_LONG = 1e-4
-# The parts of all samples, padding and all, that those with several positions are taken to make up.
-_SHARES = 0.125, 0.25, 0.5, 0.75, 1.0
 # Standard deviation, sensor pixels, over which the light of pixels is averaged to tell their noise.
 _NEIGHBOURS = 1.5
 
@@ -203,16 +201,13 @@ def measured(
     order, positions = _longest_first(samples, path)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
-    several = np.count_nonzero(positions > 1)
     placed = place(
         jax.tree.map(jnp.asarray, padded),
         path,
         scale=scale,
         shape=(scale * height, scale * width),
         positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
-        finest=_POSITIONS[0] if several else 1,
-        # In one of few shares, as programs depend on it.
-        extended=next(int(part * padded.row.size) for part in _SHARES if part * padded.row.size >= several),
+        finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
     )
     return Measurements(samples, light, padded, placed, still_for, path)
 

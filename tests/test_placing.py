@@ -61,8 +61,8 @@ def test_samples_and_their_places_stay_together(spikes):
     for field in ("row", "column", "start", "stop", "value", "weight"):
         np.testing.assert_array_equal(getattr(taken.padded, field)[:n], getattr(taken.samples, field))
     np.testing.assert_array_equal(np.asarray(taken.placed.value), taken.padded.value)
-    row, column = np.divmod(np.asarray(taken.placed.taps.index)[:n], 2 * WIDTH)
-    column = column + np.asarray(taken.placed.taps.right)[:n]
+    row, column = np.divmod(np.asarray(taken.placed.taps.index[0])[:n], 2 * WIDTH)
+    column = column + np.asarray(taken.placed.taps.right[0])[:n]
     # Trajectories begin and end with the recording.
     time = np.clip((taken.samples.start + taken.samples.stop) / 2, 0, FRAMES - 1) - 32
     used = np.asarray(taken.placed.weight)[:n] > 0

@@ -54,12 +54,13 @@ def placed(case: Case) -> PlacedSamples:
     # Only the first of two taps has to leave room for the second.
     top, left = np.minimum(row.astype(int), height - 2), np.minimum(column.astype(int), width - 2)
     taps = Taps(
-        index=jnp.asarray(top * width + left, jnp.int32),
-        down=jnp.asarray(row - top, jnp.float32),
-        right=jnp.asarray(column - left, jnp.float32),
+        index=jnp.asarray(top * width + left, jnp.int32)[None],
+        down=jnp.asarray(row - top, jnp.float32)[None],
+        right=jnp.asarray(column - left, jnp.float32)[None],
     )
-    return PlacedSamples.at_once(
+    return PlacedSamples(
         taps,
+        jnp.ones(case.value.shape, jnp.int32),
         value=jnp.asarray(case.value, jnp.float32),
         weight=jnp.ones(case.value.shape, jnp.float32),
         scale=3,

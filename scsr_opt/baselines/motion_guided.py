@@ -62,7 +62,8 @@ def shift_and_add(
     motion = _motion(part, velocity)
     samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels).padded()
     path = trajectory_of(motion, key=part.key, start=0, stop=len(part.spikes))
-    found = path.at(*(jnp.asarray(v) for v in (samples.row, samples.column, (samples.start + samples.stop) / 2)))
+    middle = (samples.start + samples.stop) / 2
+    found = path.at(jnp.asarray(samples.row), jnp.asarray(samples.column), jnp.asarray(middle))
     row, column, seen = (np.asarray(v, np.float64) for v in found)
     weight = np.asarray(samples.weight) * seen
     centre = np.stack([row, column]) * part.scale + (part.scale - 1) / 2

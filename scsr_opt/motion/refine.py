@@ -194,18 +194,17 @@ def _votes(
     start, stop = jnp.asarray(samples.start), jnp.asarray(samples.stop)
     slope = jnp.zeros((2, start.size), picture.dtype)
     for number in range(placed.finest):
-        taps = placed.position(number)
-        some = slice(taps.index.size)
-        τ = moments(start[some], stop[some], placed.positions[some], number) - key
+        taps = jax.tree.map(lambda of, number=number: of[number], placed.taps)
+        τ = moments(start, stop, placed.positions, number) - key
         a, b, c, d = (flat[taps.index + offset] for offset in (0, 1, wide, wide + 1))
         across = jnp.stack([(c - a) + taps.right * (d - b - c + a), (b - a) + taps.down * (d - b - c + a)])
         # What a pixel sees lies at p − vτ: a higher velocity takes it back.
-        slope = slope.at[:, some].add(-placed.scale * placed.share(number, τ)[None] * across)
+        slope = slope - placed.scale * placed.share(number, τ)[None] * across
     residual = placed.read(picture) - placed.value
     weight = _robust(residual, placed.weight, jnp.asarray(samples.weight))
     noise = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight > 0, dtype=weight.dtype), 1)
     weight = weight / (noise + 1e-20)
-    shown = placed.taps
+    shown = jax.tree.map(lambda of: of[0], placed.taps)
     row, column = jnp.divmod(shown.index, wide)
     row = jnp.clip(jnp.round((row.astype(start.dtype) + shown.down) / placed.scale).astype(jnp.int32), 0, height - 1)
     column = jnp.clip(

@@ -211,13 +211,14 @@ class Trajectory(eqx.Module):
 
     def fastest_during(
         self,
-        row: Int[np.ndarray, " n"],
-        column: Int[np.ndarray, " n"],
-        start: Float[np.ndarray, " n"],
-        stop: Float[np.ndarray, " n"],
+        row: Int[np.ndarray | Array, " n"],
+        column: Int[np.ndarray | Array, " n"],
+        start: Float[np.ndarray | Array, " n"],
+        stop: Float[np.ndarray | Array, " n"],
     ) -> Float[np.ndarray, " n"]:
         """`fastest` from start to stop of exposures: of the moments around these, or of all where more lie between."""
         moments, _, height, width = self.position.shape
+        row, column, start, stop = (np.asarray(v) for v in (row, column, start, stop))
         pixel = row * np.int32(width) + column
         if moments == 1:
             return np.zeros(row.shape, np.float32)

@@ -132,102 +132,78 @@ class PlacedSamples(eqx.Module):
 
     Each sample has as many positions as its exposure needs, 1, 3, …, K. Samples are visited in pieces, and pieces none
     of which has a k-th position, or a weight, are passed over: the work follows the positions that there are, while
-    programs depend on n, m and K only.
+    programs depend on n and K only.
 
     **Fields:**
-    - `taps`: (n,), the middles of the exposures.
-    - `further`: (K − 1, m), of the first m samples the other positions, from the middle outwards.
-    - `positions` (n,): how many a sample has; 0 for padding, 1 at most from the m-th on.
+    - `taps`: (K, n), the positions: the middle of the exposure, then from there outwards.
+    - `positions` (n,): how many of these a sample has; 0 for padding.
     - `value`, `weight` (n,): Y_j and ω_j; the weight is 0 where a sample leaves the picture or sees what the key frame
       does not show.
     - `scale` s, `shape` (H, W).
     """
 
     taps: Taps
-    further: Taps
     positions: Int[Array, " n"]
     value: Float[Array, " n"]
     weight: Float[Array, " n"]
     scale: int = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
 
-    @classmethod
-    def at_once(
-        cls, taps: Taps, value: Float[Array, " n"], weight: Float[Array, " n"], scale: int, shape: tuple[int, int]
-    ) -> "PlacedSamples":
-        """Samples with one position each."""
-        further = jax.tree.map(lambda field: jnp.zeros((0, 0), field.dtype), taps)
-        return cls(taps, further, jnp.ones(value.shape, jnp.int32), value, weight, scale, shape)
-
     @property
     def finest(self) -> int:
         """K, the largest number of positions along an exposure that there may be."""
-        return 1 + self.further.index.shape[0]
-
-    @property
-    def extended(self) -> int:
-        """m, how many samples, from the first on, may have more than one position."""
-        return self.further.index.shape[1]
-
-    def position(self, number: int) -> Taps:
-        """The positions of this number: the middles, (n,), for 0, else those of the first m samples."""
-        return self.taps if number == 0 else jax.tree.map(lambda field: field[number - 1], self.further)
+        return self.taps.index.shape[0]
 
     @eqx.filter_jit
     def only(self, numbers: Int[Array, " m"]) -> "PlacedSamples":
         """The samples of these numbers."""
-        taps = jax.tree.map(lambda field: field[numbers], self.taps)
-        # Beyond the first m there is one position; what stands in the places of others is not read.
-        further = jax.tree.map(lambda field: field.at[:, numbers].get(mode="fill", fill_value=0), self.further)
+        taps = jax.tree.map(lambda field: field[:, numbers], self.taps)
         positions, value, weight = (field[numbers] for field in (self.positions, self.value, self.weight))
-        return PlacedSamples(taps, further, positions, value, weight, self.scale, self.shape)
+        return PlacedSamples(taps, positions, value, weight, self.scale, self.shape)
 
     @eqx.filter_jit
     def read(self, u: Float[Array, "H W"]) -> Float[Array, " n"]:
         """r_j · u for every sample."""
-        middle = self.share(0, _read(u, self.taps))
-        if self.finest == 1:
-            return middle
 
         # All at once: on two cores, five positions of all samples took a third of the time of those that there are.
-        def layer(total: Float[Array, " m"], at: tuple[Array, Taps]):
+        def layer(total: Float[Array, " n"], at: tuple[Array, Taps]):
             number, taps = at
             return total + self.share(number, _read(u, taps)), None
 
-        total = jax.lax.scan(layer, middle[: self.extended], (self.numbers, self.further))[0]
-        return jax.lax.dynamic_update_slice(middle, total, (0,))
+        return jax.lax.scan(layer, jnp.zeros_like(u, shape=self.value.shape), (self.numbers, self.taps))[0]
 
     @eqx.filter_jit
     def spread(self, values: Float[Array, " n"]) -> Float[Array, "H W"]:
         """Σ_j values_j r_j, the adjoint of `read`."""
         nothing = jnp.zeros(self.shape[0] * self.shape[1], values.dtype)
-        return self.visited(_adding(self.shape[1]), nothing, values).reshape(self.shape)
+        return self.visited(self.add, nothing, values).reshape(self.shape)
+
+    def add(self, total: Float[Array, " pixels"], taps: Taps, amount: Float[Array, " m"]) -> Float[Array, " pixels"]:
+        """The amounts added at the taps to a flattened picture."""
+        for offset, tap in zip((0, 1, self.shape[1], self.shape[1] + 1), taps.weights, strict=True):
+            total = total.at[taps.index + offset].add(amount * tap)
+        return total
 
     def visited(
         self, visit: Callable[..., Any], carry: Any, amount: Float[Array, " n"], *more: Float[Array, " n"]
     ) -> Any:
         """`carry` after `visit(carry, taps, amount_j / K_j, *more)` of all pieces of all positions, but for those that
         have no amount; K_j is the number of a sample's positions. In a call all but the carry is (m,), of one piece."""
-        carry = _in_turn(visit, carry, self.taps, self.share(0, amount), *more)
-        if self.finest == 1:
-            return carry
-        first, rest = amount[: self.extended], tuple(values[: self.extended] for values in more)
 
         def layer(carry: Any, at: tuple[Array, Taps]):
             number, taps = at
-            return _in_turn(visit, carry, taps, self.share(number, first), *rest), None
+            return _in_turn(visit, carry, taps, self.share(number, amount), *more), None
 
-        return jax.lax.scan(layer, carry, (self.numbers, self.further))[0]
+        return jax.lax.scan(layer, carry, (self.numbers, self.taps))[0]
 
     def share(self, number: Int[Array, ""] | int, amount: Float[Array, " n"]) -> Float[Array, " n"]:
-        """What the position of this number has of the amounts of each sample, or of the first ones."""
-        positions = self.positions[: amount.size]
-        return jnp.where(number < positions, amount / jnp.maximum(positions, 1).astype(amount.dtype), 0)
+        """What the position of this number has of each sample's amount."""
+        return jnp.where(number < self.positions, amount / jnp.maximum(self.positions, 1).astype(amount.dtype), 0)
 
     @property
-    def numbers(self) -> Int[Array, " further"]:
-        """Of the further positions: 1, …, K − 1."""
-        return jnp.arange(1, self.finest, dtype=jnp.int32)
+    def numbers(self) -> Int[Array, " positions"]:
+        """Of the positions: 0, …, K − 1."""
+        return jnp.arange(self.finest, dtype=jnp.int32)
 
 
 def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, " n"]:
@@ -237,17 +213,6 @@ def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, " n"]:
     upper = corners[0] + taps.right * (corners[1] - corners[0])
     lower = corners[2] + taps.right * (corners[3] - corners[2])
     return upper + taps.down * (lower - upper)
-
-
-def _adding(width: int) -> Callable[..., Float[Array, " pixels"]]:
-    """Adds amounts to a flattened picture of this width, at taps: the adjoint of `_read`."""
-
-    def add(total: Float[Array, " pixels"], taps: Taps, amount: Float[Array, " m"]) -> Float[Array, " pixels"]:
-        for offset, tap in zip((0, 1, width, width + 1), taps.weights, strict=True):
-            total = total.at[taps.index + offset].add(amount * tap)
-        return total
-
-    return add
 
 
 def _in_turn(visit: Callable[..., Any], carry: Any, taps: Taps, amount: Array, *more: Array) -> Any:
@@ -289,7 +254,6 @@ def place(
     shape: tuple[int, int],
     positions: Int[Array, " n"] | None = None,
     finest: int = 1,
-    extended: int | None = None,
 ) -> PlacedSamples:
     """Where each sample was taken, on the grid of U.
 
@@ -299,8 +263,7 @@ def place(
     - `scale` s, `shape` (H, W) of the high-resolution picture.
     - `positions` (n,): how many, spread evenly over each exposure, an odd number; 1 takes its middle. `finest` if not
       given.
-    - `finest`: the largest of these. `extended`: how many samples, from the first on, may have more than one; all if
-      not given.
+    - `finest`: the largest of these.
 
     A sample that leaves the picture at any time of its exposure is dropped; what is left of it inside is for the
     caller to cut out (`scsr_opt.placing.measured`). Counting such samples for the part of them inside, as they are,
@@ -318,10 +281,8 @@ def place(
 
     tables = path.tables
 
-    def at(number: Int[Array, ""] | int, many: int, weight: Float[Array, " m"]) -> tuple[Float[Array, " m"], Taps]:
-        """The least of `weight` and what the first `many` samples count at this position, and where it is."""
-        times = moments(start[:many], stop[:many], wanted[:many], number)
-        down, right, seen = path.at(rows[:many], columns[:many], times, tables)
+    def layer(weight: Float[Array, " n"], number: Int[Array, ""]):
+        down, right, seen = path.at(rows, columns, moments(start, stop, wanted, number), tables)
         down, right = down * scale, right * scale
         # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
         inside = (down >= -1e-3) & (right >= -1e-3)
@@ -331,17 +292,12 @@ def place(
         right = jnp.clip(jnp.where(inside, right, 0), 0, width - scale)
         top, left = down.astype(jnp.int32), right.astype(jnp.int32)
         # A sample counts as far as it can be used at each of its positions.
-        least = jnp.minimum(weight, full[:many] * jnp.where(inside, seen, 0))
+        least = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
         taps = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
-        return jnp.where(number < wanted[:many], least, weight), taps
+        return jnp.where(number < wanted, least, weight), taps
 
-    many = rows.size if extended is None else extended
-    weight, middle = at(0, rows.size, full)
-    first, further = jax.lax.scan(
-        lambda least, number: at(number, many, least), weight[:many], jnp.arange(1, finest, dtype=jnp.int32)
-    )
-    weight = jax.lax.dynamic_update_slice(weight, first, (0,))
-    return PlacedSamples(middle, further, wanted, value, weight, scale, shape)
+    weight, taps = jax.lax.scan(layer, full, jnp.arange(finest, dtype=jnp.int32))
+    return PlacedSamples(taps, wanted, value, weight, scale, shape)
 
 
 @eqx.filter_jit
@@ -396,17 +352,15 @@ def with_exposure(
     of M − M_e, so that only the others are visited: with u_jk = r_jk·U and their mean u_j,
     (M − M_e) U = Σ_j ω_j Σ_k (u_jk − u_j) r_jk / K_j.
     """
-    many = placed.extended
-    weight = (placed.weight if robust is None else placed.weight * robust)[:many]
+    weight = placed.weight if robust is None else placed.weight * robust
+    weight = jnp.where(placed.positions > 1, weight, 0)
     u = term.blurred(image)
-    mean, add = placed.read(u)[:many], _adding(u.shape[1])
+    mean = placed.read(u)
 
-    def layer(total: Float[Array, " pixels"], at: tuple[Array | int, Taps]):
+    def layer(total: Float[Array, " pixels"], at: tuple[Array, Taps]):
         number, taps = at
-        return _in_turn(add, total, taps, placed.share(number, weight * (_read(u, taps) - mean))), None
+        return _in_turn(placed.add, total, taps, placed.share(number, weight * (_read(u, taps) - mean))), None
 
-    middle = jax.tree.map(lambda field: field[:many], placed.taps)
-    total, _ = layer(jnp.zeros_like(u.reshape(-1)), (0, middle))
-    total, _ = jax.lax.scan(layer, total, (placed.numbers, placed.further))
+    total = jax.lax.scan(layer, jnp.zeros_like(u.reshape(-1)), (placed.numbers, placed.taps))[0]
     excess = total.reshape(u.shape)
     return eqx.tree_at(lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess)))

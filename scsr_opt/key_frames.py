@@ -60,6 +60,8 @@ def sequence(
     estimator = options.pop("velocity", None)
     if estimator is not None and not isinstance(estimator, Estimator):
         raise InputError("sequence was given a velocity, which holds at one moment; hand in an Estimator, or nothing.")
+    if isinstance(keys, str) or not isinstance(keys, Iterable):
+        raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     return _pictures(recording, keys, whole(scale, "scale", 1), estimator, options)
 

@@ -345,13 +345,15 @@ def test_a_value_of_another_kind_is_said():
         "FISTA(stopping=1e-3)": "FISTA was given stopping=0.001; it must be a Stopping, such as FixedPoint().",
         "CondatVu(balance=2.0)": "CondatVu was given balance=2.0; it must be a Balance, such as Balance(ratio).",
         "ADMM(linear_solve='cg')": "ADMM was given linear_solve='cg'; it must be a LinearSolve",
+        "sequence(spikes, 5, scale=2)": "keys is 5; it must be the frames of the pictures: [50], or range(50, 100, 5).",
+        "sequence(spikes, '5', scale=2)": "keys is '5'; it must be the frames of the pictures",
         "FISTA(iterations=2.5)": "FISTA was given 2.5 iterations; it needs a whole number of at least 1.",
         "FISTA(iterations=float('nan'))": "FISTA was given nan iterations; it needs a whole number of at least 1.",
     }
     program = f"""
 from dataclasses import replace
 import numpy as np
-from scsr_opt import InputError, reconstruct
+from scsr_opt import InputError, reconstruct, sequence
 from scsr_opt.camera import Intervals, Noise, Windows
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import Layers, Trust

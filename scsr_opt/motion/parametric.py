@@ -261,24 +261,30 @@ def _fit(
     def equations(numbers: Float[Array, "2 8"]) -> tuple[Array, Array]:
         velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
 
-        tau = after[:, None]
-        row, column = (
-            points.position[k][None] + tau * velocity[k][None] + 0.5 * tau**2 * acceleration[k][None] for k in (0, 1)
-        )
-        value, slope, inside = _value_and_slope(pictures, row, column, interval)
-        value = (value - about[None]) * inside
-        times = (after[None] ** jnp.arange(5, dtype=after.dtype)[:, None]) @ inside
-        values = jnp.stack([jnp.ones_like(after), after, after**2 / 2]) @ value
-        slopes = (slope * inside[None]).sum(1)
+        # Moment by moment, so that the sums stay in the cache.
+        def add(b: Array, sums: _Sums) -> _Sums:
+            tau = after[b]
+            row, column = (points.position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
+            value, slope, inside = _value_and_slope(pictures, b, row, column)
+            value = (value - about) * inside
+            return _Sums(
+                tuple(sum_ + tau**k * inside for k, sum_ in enumerate(sums.times)),
+                tuple(sum_ + factor * value for factor, sum_ in zip((1, tau, tau**2 / 2), sums.values, strict=True)),
+                sums.squares + value**2,
+                tuple(sum_ + one * inside for one, sum_ in zip(slope, sums.slopes, strict=True)),
+            )
+
+        sums = jax.lax.fori_loop(interval[0], interval[1], add, _Sums.none(about))
+        times, values, slopes = (jnp.stack(of) for of in (sums.times, sums.values, sums.slopes))
         # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
         seen = jnp.maximum(times[0], 1e-6)
         first = jnp.stack([times[1], times[2] / 2])
         change = values[1:3] - first * (values[0] / seen)[None]
         square = jnp.stack([jnp.stack([times[2], times[3] / 2]), jnp.stack([times[3] / 2, times[4] / 4])])
         spread = square - first[:, None] * first[None] / seen[None, None]
-        mismatch = jnp.maximum((value**2).sum(0) - values[0] ** 2 / seen, 0) / seen
+        mismatch = jnp.maximum(sums.squares - values[0] ** 2 / seen, 0) / seen
         # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
-        usual = jnp.nanquantile(jnp.where(points.region > 0, mismatch, jnp.nan), majority)
+        usual = _quantile(mismatch, jnp.asarray(points.region), majority)
         trust = points.region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
         # What passes within an interval looks as if it stood still.
         trust = trust / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
@@ -314,26 +320,47 @@ def _fit(
     return numbers, _Votes(matrix, votes)
 
 
+def _quantile(values: Float[Array, " n"], among: Float[Array, " n"], share: Float[Array, ""]) -> Float[Array, ""]:
+    """What this share of the values does not exceed, of those `among` which is 1; none is below 0. By halving, to 10⁻⁹
+    of the largest: sorting took most of a step."""
+    wanted = share * among.sum()
+
+    def halve(_: Array, between: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = between
+        middle = (low + high) / 2
+        enough = jnp.where(values <= middle, among, 0).sum() >= wanted
+        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
+
+    largest = jnp.max(values * among)
+    return jax.lax.fori_loop(0, 30, halve, (jnp.zeros_like(largest), largest))[1]
+
+
+class _Sums(NamedTuple):
+    """Over the moments, at each point: of τ⁰ to τ⁴, of the value times 1, τ and τ²/2, of its square, of its slopes."""
+
+    times: tuple[Float[Array, " n"], ...]
+    values: tuple[Float[Array, " n"], ...]
+    squares: Float[Array, " n"]
+    slopes: tuple[Float[Array, " n"], ...]
+
+    @classmethod
+    def none(cls, like: Float[Array, " n"]) -> "_Sums":
+        nothing = jnp.zeros_like(like)
+        return cls((nothing,) * 5, (nothing,) * 3, nothing, (nothing,) * 2)
+
+
 def _value_and_slope(
-    pictures: Float[Array, "n h w"], row: Float[Array, "n m"], column: Float[Array, "n m"], interval: Int[Array, " 2"]
-) -> tuple[Float[Array, "n m"], Float[Array, "2 n m"], Float[Array, "n m"]]:
-    """Bilinear interpolation in each picture of the interval, its slope, and 1 where the position lies in the picture
-    (0 elsewhere, and in the other pictures)."""
-    number, height, width = pictures.shape
-    taken = jnp.arange(number)
-    taken = ((taken >= interval[0]) & (taken < interval[1]))[:, None]
-    inside = taken & (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+    pictures: Float[Array, "n h w"], number: Array, row: Float[Array, " m"], column: Float[Array, " m"]
+) -> tuple[Float[Array, " m"], tuple[Float[Array, " m"], Float[Array, " m"]], Float[Array, " m"]]:
+    """Bilinear interpolation in the picture of this number, its slope, and 1 inside it, 0 outside."""
+    _, height, width = pictures.shape
+    inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
     row, column = jnp.where(inside, row, 0), jnp.where(inside, column, 0)
     top, left = (jnp.minimum(v.astype(jnp.int32), n - 2) for v, n in ((row, height), (column, width)))
     down, right = row - top.astype(row.dtype), column - left.astype(row.dtype)
-
-    # The values around are looked up picture by picture and kept: looked up anew for each sum, they took twice as long.
-    def look_up(b: Array, found: tuple[Array, ...]) -> tuple[Array, ...]:
-        flat, corner = pictures[b].reshape(-1), top[b] * width + left[b]
-        four = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
-        return tuple(every.at[b].set(one) for every, one in zip(found, four, strict=True))
-
-    a, b, c, d = jax.lax.fori_loop(interval[0], interval[1], look_up, (jnp.zeros_like(row),) * 4)
+    # Out of all pictures: taken out first, one would be copied.
+    flat, corner = pictures.reshape(-1), (number * height + top) * width + left
+    a, b, c, d = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
     above, below = a + right * (b - a), c + right * (d - c)
-    slope = jnp.stack([below - above, (1 - down) * (b - a) + down * (d - c)])
+    slope = below - above, (1 - down) * (b - a) + down * (d - c)
     return above + down * (below - above), slope, inside.astype(row.dtype)

@@ -23,9 +23,11 @@ weighted by duration they add up to the exact light between the first and the la
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 
 ENDS = 0.1
@@ -33,6 +35,9 @@ ENDS = 0.1
 
 # Intervals of one frame that follow one another are merged up to so many frames.
 _RUN = 4
+
+# Pixels whose intervals are found at once: what that takes stays in the cache, and several are worked on side by side.
+_BAND = 16_384
 
 
 class Samples(eqx.Module):
@@ -117,21 +122,26 @@ def spike_intervals(
     merged = np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)
     # Of pixels that are still all the time, only the first and the last spike and their number count.
     still = merged >= frames
-    parts = [_between(spikes, np.flatnonzero(good & ~still), merged), known.between(np.flatnonzero(good & still))]
-    number = sum(part[0].size for part in parts)
+    others = np.flatnonzero(good & ~still)
+
+    def made(parts: tuple[np.ndarray, ...], factor: float | int = 1) -> Samples:
+        pixel, begin, end, counted = parts
+        duration = (end - begin).astype(np.float32)
+        return Samples(
+            row=(pixel // width).astype(np.int32),
+            column=(pixel % width).astype(np.int32),
+            start=(begin + first_frame).astype(np.float32),
+            stop=(end + first_frame).astype(np.float32),
+            value=counted.astype(np.float32) / np.float32(white_rate) / duration,
+            weight=duration * np.float32(factor),
+        )
+
+    bands = np.array_split(others, max(1, others.size // _BAND))
+    parts = in_threads(lambda pixels: made(_between(spikes, pixels, merged)), bands)
+    parts.append(made(known.between(np.flatnonzero(good & still))))
     if ends > 0:
-        parts.append(known.ends(good))
-    pixel, begin, end, spikes_counted = (np.concatenate(each) for each in zip(*parts, strict=True))
-    factor = np.where(np.arange(pixel.size) < number, np.float32(1), np.float32(ends))
-    duration = (end - begin).astype(np.float32)
-    return Samples(
-        row=(pixel // width).astype(np.int32),
-        column=(pixel % width).astype(np.int32),
-        start=(begin + first_frame).astype(np.float32),
-        stop=(end + first_frame).astype(np.float32),
-        value=spikes_counted.astype(np.float32) / np.float32(white_rate) / duration,
-        weight=duration * factor,
-    )
+        parts.append(made(known.ends(good), ends))
+    return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
 def _between(

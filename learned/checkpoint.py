@@ -107,19 +107,22 @@ def load(
 def grafted(model: Any, name: str) -> tuple[Any, Card]:
     """`model` with the weights of a file in the place of its own wherever the file has some, and the file's card.
 
-    A part of a network (`learned.velocity.VelocityNet`) has a place in it of the same name, and is the same at every
-    scale; the rest of the network keeps its weights.
+    A part of a network (`learned.velocity.VelocityNet`) has a place in it of the same name. Either may be the part: the
+    rest of a network keeps its weights, the rest of a file is not used.
 
     **Arguments:** `name`: of shipped weights, for example `spikesr_small_x4`, or the path of a .scsr file.
 
-    **Raises:** `InputError` as `load`, or if the file has weights for which the model has no place.
+    **Raises:** `InputError` as `load`, or if neither's weights all have a place in the other, or a shape differs.
     """
     shipped = SHIPPED / f"{name}.scsr"
     path = shipped if shipped.is_file() else Path(name)
     given, card = load(path)
     theirs = {jax.tree_util.keystr(place): leaf for place, leaf in _weights(given)}
     mine = {jax.tree_util.keystr(place): leaf for place, leaf in _weights(model)}
+    part = mine.keys() <= theirs.keys()
     for place, leaf in theirs.items():
+        if part and place not in mine:
+            continue
         if place not in mine or mine[place].shape != leaf.shape:
             found = f"of shape {mine[place].shape}" if place in mine else "nothing"
             raise InputError(

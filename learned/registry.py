@@ -63,6 +63,7 @@ def trainable(model: str, scale: int, network: Mapping[str, Any]) -> Trainable:
 
 
 def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
+    from learned.compensation import base_loss
     from learned.spikesr import SpikeSRConfig, SpikeSRNet, spikesr_loss
     from learned.velocity import velocity_loss
 
@@ -76,6 +77,8 @@ def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
     def loss(model: Any, example: Example) -> Float[Array, ""]:
         seen = model.encode(example.spikes, example.spikes.shape[0] // 2, example.white_rate)
         found = spikesr_loss(model.iterate(seen).images, example.truth)
+        if config.deblur_channels:  # as much as another picture before the last; those behind it teach it little
+            found = found + 0.1 * base_loss(seen.base, example.truth)
         if not config.velocity_channels or not config.velocity_weight:
             return found
         return found + config.velocity_weight * velocity_loss(seen.velocity, example.velocity)
@@ -87,7 +90,8 @@ def _spikesr(scale: int, network: Mapping[str, Any]) -> Trainable:
 
 
 def _velocity(scale: int, network: Mapping[str, Any]) -> Trainable:
-    from learned.velocity import VelocityConfig, VelocityNet, base_moments, compensated, refined, velocity_loss
+    from learned.compensation import compensated
+    from learned.velocity import VelocityConfig, VelocityNet, base_moments, refined, velocity_loss
 
     config = _replaced(VelocityConfig(), network)
 
@@ -99,9 +103,23 @@ def _velocity(scale: int, network: Mapping[str, Any]) -> Trainable:
 
     def picture(model: Any, spikes: UInt8[Array, "T h w"], white_rate: Float[Array, ""]) -> Float[Array, "H W"]:
         seen = base_moments(spikes, spikes.shape[0] // 2, white_rate, config.moments)
-        return compensated(seen, refined(seen, estimate(model, spikes, white_rate)), scale)
+        return compensated(seen, refined(seen, estimate(model, spikes, white_rate)), scale).mean
 
     return Trainable(lambda key: VelocityNet(config.channels, key=key), loss, picture)
+
+
+def _compensation(scale: int, network: Mapping[str, Any]) -> Trainable:
+    from learned.compensation import CompensationConfig, CompensationNet, base_loss
+
+    config = _replaced(CompensationConfig(scale), network)
+
+    def picture(model: Any, spikes: UInt8[Array, "T h w"], white_rate: Float[Array, ""]) -> Float[Array, "H W"]:
+        return model(spikes, spikes.shape[0] // 2, white_rate)
+
+    def loss(model: Any, example: Example) -> Float[Array, ""]:
+        return base_loss(picture(model, example.spikes, example.white_rate), example.truth)
+
+    return Trainable(lambda key: CompensationNet(config, key=key), loss, picture)
 
 
 def _unrolled(scale: int, network: Mapping[str, Any]) -> Trainable:
@@ -168,6 +186,7 @@ def _on_inputs(
 
 MODELS["spikesr"] = _spikesr
 MODELS["velocity"] = _velocity
+MODELS["compensation"] = _compensation
 MODELS["unrolled"] = _unrolled
 MODELS["unrolled_pase"] = _unrolled_pase
 

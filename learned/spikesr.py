@@ -20,14 +20,15 @@ kernel predictor, the loss, and no other size. The measure for the rest are the 
 | kernels of D_s and D_s⁻¹ | s + 2 | s + 2 |
 | parameters, ×2 and ×4 | 3.34 M, 3.41 M | 0.26 M, 0.28 M |
 
-What light there is does not matter to the network: it sees the spikes divided by `white_rate`, whose mean over time is
-intensity. X^(0) is the enlarged firing rate of all blocks plus what the initialisation adds, and the modules only ever
-add to a picture.
+What light there is does not matter to the paper's parts: they see the spikes divided by `white_rate`, whose mean over
+time is intensity. X^(0) is the enlarged firing rate of all blocks plus what the initialisation adds, and the modules
+only ever add to a picture.
 
 **What is added to the paper's.** With `velocity_channels` the network has an estimate of velocity that is taught the
 true motion of simulated scenes (`learned.velocity`, 0.05 M parameters). Offsets then start from where it says, and
-X^(0) from spike intervals read along the tracks; with `deblur_channels` that is sharpened first. The shipped `small`
-ones have both: where the scene moves, offsets that only the picture's loss teaches stay far from the motion.
+X^(0) from spike intervals read along the tracks (`learned.compensation`); with `deblur_channels` that is sharpened
+first, by layers that are told of motion, noise and light. The shipped `small` ones have both: where the scene moves,
+offsets that only the picture's loss teaches stay far from the motion.
 """
 
 import dataclasses
@@ -38,12 +39,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
+from learned.compensation import Deblurring, compensated
 from learned.encoder import PASE, block_times, check_blocks, check_branches, spike_blocks
 from learned.fusion import Initialisation
 from learned.gradient import GradientModule
-from learned.layers import at_least_float32, convolution, leaky
+from learned.layers import at_least_float32
 from learned.proximal import ProximalModule
-from learned.velocity import VelocityEstimator, base_moments, compensated, refined
+from learned.velocity import VelocityEstimator, base_moments, refined
 from scsr_opt.camera.recording import WHITE_RATE
 from scsr_opt.errors import InputError
 
@@ -73,7 +75,7 @@ class SpikeSRConfig:
       it X^(0) starts from `moments` short times brought to the key frame in the place of the plain firing rate, and
       offsets from where the velocity says.
     - `deblur_channels`: with it, of the layers at the picture's resolution that sharpen what X^(0) starts from
-      (`Deblurring`); 0: there are none.
+      (`Deblurring`); 0: there are none. It takes an estimate of velocity.
     - `velocity_weight`: of the velocity's error in the training loss. The pictures do not teach it: at 0 the estimator
       stays as it was before training.
 
@@ -114,6 +116,11 @@ class SpikeSRConfig:
             self._check(name, 0)
         for name in ("velocity_channels", "velocity_weight", "deblur_channels"):
             self._check(name, 0)
+        if self.deblur_channels and not self.velocity_channels:
+            raise InputError(
+                f"deblur_channels is {self.deblur_channels}, but velocity_channels is 0: what is sharpened has been "
+                f"brought together along the motion; give both, or deblur_channels = 0."
+            )
         check_blocks(self.moments, 3, 3)
         check_blocks(self.blocks, self.length, self.spacing)
         check_branches(self.branches)
@@ -168,7 +175,8 @@ class Encoded(NamedTuple):
 
     **Fields:**
     - `latent`: Y_1 … Y_n (Eq. 3).
-    - `base`: what X^(0) starts from, intensity: the enlarged firing rate, or what `learned.velocity.compensated` makes.
+    - `base`: what X^(0) starts from, intensity: the enlarged firing rate, or moments brought together along the
+      estimated motion (`learned.compensation`), sharpened if there is a `Deblurring`.
     - `guides`: with an estimator of velocity, where each block shows what the key frame does, sensor pixels.
     - `velocity`: with it, sensor pixels per frame.
     """
@@ -177,29 +185,6 @@ class Encoded(NamedTuple):
     base: Float[Array, "H W"]
     guides: Float[Array, "n 2 h w"] | None
     velocity: Float[Array, "2 h w"] | None
-
-
-class Deblurring(eqx.Module):
-    """What the pixels' aperture and the interpolation have blurred, sharpened: x + conv(leaky(conv(leaky(conv(x))))).
-
-    The blur is the same at every pixel of the picture, where moments have been brought together. The other modules see
-    s×s pixels as channels of one and would have to learn the same for each of them. It reaches 6 pixels each way, and
-    starts as no change.
-    """
-
-    first: eqx.nn.Conv2d
-    second: eqx.nn.Conv2d
-    output: eqx.nn.Conv2d
-
-    def __init__(self, channels: int, *, key: PRNGKeyArray):
-        first, second, output = jax.random.split(key, 3)
-        self.first = convolution(1, channels, size=7, key=first)
-        self.second = convolution(channels, channels, size=5, key=second)
-        self.output = convolution(channels, 1, shrink=0, key=output)
-
-    def __call__(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
-        seen = leaky(self.first(image[None].astype(self.first.weight.dtype)))
-        return image + self.output(leaky(self.second(seen)))[0].astype(image.dtype)
 
 
 class UnrolledStage(eqx.Module):
@@ -311,12 +296,15 @@ class SpikeSRNet(eqx.Module):
         known = refined(seen, jax.lax.stop_gradient(velocity))
         times = block_times(spikes.shape[0], key_frame, config.blocks, config.length, config.spacing)
         guides = jax.vmap(lambda time: time * known)(times)
-        return Encoded(latent, compensated(seen, known, config.scale).astype(precise), guides, velocity)
+        together = compensated(seen, known, config.scale)
+        base = together.mean
+        if self.deblurring is not None:
+            base = self.deblurring(together, white_rate)
+        return Encoded(latent, base.astype(precise), guides, velocity)
 
     def initial(self, seen: Encoded) -> Float[Array, "H W"]:
-        """X^(0): the base, sharpened where there is `deblurring`, and what the motion-aligned fusion adds to it."""
-        base = seen.base if self.deblurring is None else self.deblurring(seen.base)
-        return base + self.initialisation(seen.latent, seen.guides).astype(base.dtype)
+        """X^(0): the base, and what the motion-aligned fusion adds to it."""
+        return seen.base + self.initialisation(seen.latent, seen.guides).astype(seen.base.dtype)
 
     def stage(self, number: int) -> UnrolledStage:
         """Stage t, counted from 1 as in the paper.

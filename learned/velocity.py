@@ -34,7 +34,6 @@ _REFINEMENTS = 3
 _TEXTURE_BLUR, _WINDOW = 1.0, 3.0  # pixels
 _FLAT = 3e-5  # squared slope, (intensity per pixel)², below which texture is not believed
 _LIMIT = 0.5
-_CUBIC = -0.5  # Keys (1981), as in `jax.image.resize`
 
 
 class Moments(NamedTuple):
@@ -69,7 +68,7 @@ def base_moments(
     white_rate: Float[Array, ""] | float | int,
     count: int,
 ) -> Moments:
-    """What `compensated` enlarges: moments of 3 frames, from the intervals between spikes.
+    """What `learned.compensation` brings together: moments of 3 frames, from the intervals between spikes.
 
     A count over 3 frames is wrong by up to a spike, and where things move the errors of neighbouring moments, read from
     other pixels, no longer cancel. An interval is wrong by a frame at either end only.
@@ -181,47 +180,6 @@ def _sweep(features: Float[Array, "m c h w"], times: Float[Array, " m"]) -> Floa
         return jax.vmap(of_column)(grid)
 
     return jax.vmap(of_row)(grid).reshape(-1, rows, columns)
-
-
-def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> Float[Array, "H W"]:
-    """The mean of the moments, each enlarged where the key frame's points were then: X(q) = mean_i Y_i(q + v(q)·t_i).
-
-    Where something moves, its samples fall between those of the key frame, and their mean is an enlargement without
-    aliasing, only blurred by the pixels' aperture and the interpolation (cubic, Keys 1981). What has left the sensor
-    is left out.
-
-    **Arguments:** `velocity`: sensor pixels per frame. **Returns:** (s·h, s·w), intensity.
-    """
-    _, rows, columns = seen.rates.shape
-    size = (scale * rows, scale * columns)
-    fine = jax.image.resize(velocity, (2, *size), "linear")
-    down = (jnp.arange(size[0], dtype=jnp.float32)[:, None] + 0.5) / scale - 0.5
-    right = (jnp.arange(size[1], dtype=jnp.float32)[None, :] + 0.5) / scale - 0.5
-
-    def read(rate: Float[Array, "h w"], time: Float[Array, ""]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-        row, column = down + fine[0] * time, right + fine[1] * time
-        inside = (row > -0.5) & (row < rows - 0.5) & (column > -0.5) & (column < columns - 0.5)
-        top, left = jnp.floor(row), jnp.floor(column)
-        value = jnp.zeros(size, jnp.float32)
-        for i in range(-1, 3):
-            r = jnp.clip(top + i, 0, rows - 1).astype(jnp.int32)
-            across = jnp.zeros(size, jnp.float32)
-            for j in range(-1, 3):
-                c = jnp.clip(left + j, 0, columns - 1).astype(jnp.int32)
-                across = across + _keys(column - left - j) * rate.reshape(-1)[r * columns + c]
-            value = value + _keys(row - top - i) * across
-        return jnp.where(inside, value, 0.0), inside.astype(jnp.float32)
-
-    values, counts = jax.vmap(read)(seen.rates, seen.times)
-    return jnp.sum(values, axis=0) / jnp.maximum(jnp.sum(counts, axis=0), 1.0)
-
-
-def _keys(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """The cubic convolution kernel at |x| ≤ 2."""
-    x = jnp.abs(x)
-    near = ((_CUBIC + 2) * x - (_CUBIC + 3)) * x * x + 1
-    far = ((_CUBIC * x - 5 * _CUBIC) * x + 8 * _CUBIC) * x - 4 * _CUBIC
-    return jnp.where(x <= 1, near, far)
 
 
 def refined(seen: Moments, velocity: Float[Array, "2 h w"]) -> Float[Array, "2 h w"]:

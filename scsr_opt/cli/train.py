@@ -13,8 +13,9 @@ def train(
         str,
         Parameter(
             help="A .toml file, or the name of a configuration that comes with the program: small-x2, small-x4, "
-            "full-x2, full-x4, velocity and guided-x2, guided-x4 (an estimate of velocity, and the small networks "
-            "that start from it), unrolled-x2, unrolled-x4, or smoke, which takes half a minute and learns nothing."
+            "full-x2, full-x4, velocity, compensation-x2, compensation-x4 and guided-x2, guided-x4 (an estimate of "
+            "velocity, what is made with it, and the small networks that start from both), unrolled-x2, unrolled-x4, "
+            "or smoke, which takes half a minute and learns nothing."
         ),
     ],
     /,

@@ -153,3 +153,16 @@ def test_a_part_takes_its_place_in_a_network(tmp_path, monkeypatch):
         grafted(_Part(build(4)(jax.random.key(0))), str(tmp_path / "part.scsr"))
     with pytest.raises(InputError, match="none.scsr cannot be read"):
         grafted(made[1], str(tmp_path / "none.scsr"))
+
+
+def test_a_part_is_taken_from_a_network(tmp_path, monkeypatch):
+    made = [build(3)(jax.random.key(n)) for n in range(3)]
+    monkeypatch.setitem(
+        registry.MODELS,
+        "whole",
+        lambda *_: Trainable(
+            lambda key: _Whole(build(3)(key), build(3)(key)), lambda *_: jnp.zeros(()), lambda *_: jnp.zeros((1, 1))
+        ),
+    )
+    save(tmp_path / "whole.scsr", _Whole(made[0], made[1]), dataclasses.replace(CARD, model="whole"))
+    assert same(grafted(_Part(made[2]), str(tmp_path / "whole.scsr"))[0], _Part(made[0]))

@@ -142,9 +142,9 @@ def _weights(model: Any) -> list[tuple[Any, Any]]:
 
 
 def check_same(path: str | os.PathLike[str], found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """**Raises:** `InputError` naming the first entry in which two configurations differ."""
+    """**Raises:** `InputError` naming the first entry in which two configurations differ, `model` before all others."""
     a, b = (json.loads(json.dumps(dict(c), default=dict)) for c in (found, wanted))  # tuples are lists in files
-    for name in sorted(a.keys() | b.keys()):
+    for name in sorted(a.keys() | b.keys(), key=lambda name: (name != "model", name)):
         if a.get(name) != b.get(name):
             raise InputError(
                 f"{path} was made with another configuration: {name} is {a.get(name)!r} there, but {b.get(name)!r} was "

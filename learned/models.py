@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from learned import checkpoint
 from learned.posing import PRIOR, Known, Moment, Posed, moment, pose
-from learned.running import Call, Run, call
+from learned.running import Call, Run, call, check_stages
 from learned.spikesr import parameter_count
 from learned.stages import stages_of
 from scsr_opt import reconstruct
@@ -256,7 +256,7 @@ def model(name: str, scale: int) -> Model:
         return Optimizer(name, prior, solver)
     if name.endswith(".scsr"):
         network = Network(name, Path(name))
-        network.net  # noqa: B018  a file that cannot be read is found out here
+        check_stages(network.net, network.card)  # and a file that cannot be read is found out here
         return network
     if name not in NETWORKS:
         raise InputError(

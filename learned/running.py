@@ -55,7 +55,17 @@ def call(
         return Call(
             _unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start)
         )
-    raise InputError(f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration.")
+    raise InputError(_without_stages(card))
+
+
+def check_stages(net: Any, card: Card) -> None:
+    """**Raises:** `InputError` for a network that can be trained, but is only a part of one that has stages."""
+    if not isinstance(net, SpikeSRNet | UnrolledISTA | UnrolledPASE):
+        raise InputError(_without_stages(card))
+
+
+def _without_stages(card: Card) -> str:
+    return f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration."
 
 
 def _spikesr_call(net: SpikeSRNet, here: Moment, start: Float[Array, "H W"] | None) -> Call:

@@ -166,3 +166,8 @@ def test_a_part_is_taken_from_a_network(tmp_path, monkeypatch):
     )
     save(tmp_path / "whole.scsr", _Whole(made[0], made[1]), dataclasses.replace(CARD, model="whole"))
     assert same(grafted(_Part(made[2]), str(tmp_path / "whole.scsr"))[0], _Part(made[0]))
+
+
+def test_of_two_configurations_the_model_is_compared_first():
+    with pytest.raises(InputError, match="run was made with another configuration: model is 'a' there, but 'b'"):
+        checkpoint.check_same("run", {"model": "a", "batch": 2}, {"model": "b", "batch": 3})

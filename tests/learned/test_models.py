@@ -18,6 +18,7 @@ from learned.posing import Posed, moment, pose, read
 from learned.spikesr import SpikeSRConfig, SpikeSRNet
 from learned.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.unrolled_ista_pase import UnrolledPASE, UnrolledPASEConfig
+from learned.velocity import VelocityNet
 from scsr_opt import InputError, Recording, Result, reconstruct
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static
@@ -223,6 +224,11 @@ def test_what_cannot_be(shelf, tmp_path, recording, posed):
         model("spikesr-small", 4)
     with pytest.raises(InputError, match="cannot be read"):
         model(str(tmp_path / "none.scsr"), 2)
+    part = VelocityNet(2, key=jax.random.key(0, impl="unsafe_rbg"))
+    configuration = {"scale": 2, "network": {"channels": 2}}
+    checkpoint.save(tmp_path / "part.scsr", part, checkpoint.Card("velocity", configuration, "none", 0, "none", {}))
+    with pytest.raises(InputError, match="The stages of velocity are not known; take a SpikeSR-Net"):
+        model(str(tmp_path / "part.scsr"), 2)
     with pytest.raises(InputError, match="was trained for scale 2, but scale 3"):
         network(str(shelf / "unrolled_x2.scsr"))(recording, scale=3, record=False)
     for name in ("fista-huber", "unrolled"):

@@ -77,7 +77,7 @@ def test_train_that_fails(scsr, here, config):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nothing"], "There is no configuration nothing: give the path of a .toml file, or one of full-x2"),
+        (["nothing"], "There is no configuration nothing: give the path of a .toml file, or one of compensation-x2"),
         (["plan.toml", "--steps", "0"], "steps is 0, but it must be a whole number of at least 1"),
         (["plan.toml", "--pictures", "nowhere"], "nowhere is not a folder"),
         (["plan.toml", "-o", "plan.toml"], "The folder plan.toml cannot be made"),

@@ -44,28 +44,21 @@ def call(
 
     **Raises:** `InputError` if the network's stages are not known, or the recording is too short for it.
     """
+    check_stages(net, card)
     if isinstance(net, SpikeSRNet):
         return _spikesr_call(net, here, start)
     if isinstance(net, UnrolledISTA):
         inputs = make_inputs(here.stream, scale=here.scale, boundaries=net.config.boundaries, motion=motion)
         return Call(_unrolled, (net, inputs, start))
-    if isinstance(net, UnrolledPASE):
-        # The encoder looks at neighbours: a bad pixel's spikes must be plausible, though none are measured there.
-        stream = here.stream._replace(spikes=here.seen)
-        return Call(
-            _unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start)
-        )
-    raise InputError(_without_stages(card))
+    # The encoder looks at neighbours: a bad pixel's spikes must be plausible, though none are measured there.
+    stream = here.stream._replace(spikes=here.seen)
+    return Call(_unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start))
 
 
 def check_stages(net: Any, card: Card) -> None:
     """**Raises:** `InputError` for a network that can be trained, but is only a part of one that has stages."""
     if not isinstance(net, SpikeSRNet | UnrolledISTA | UnrolledPASE):
-        raise InputError(_without_stages(card))
-
-
-def _without_stages(card: Card) -> str:
-    return f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration."
+        raise InputError(f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration.")
 
 
 def _spikesr_call(net: SpikeSRNet, here: Moment, start: Float[Array, "H W"] | None) -> Call:

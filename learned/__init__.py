@@ -14,6 +14,11 @@ def ridge(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = 
     return _rung("ridge", scale)(spikes, scale=scale, key=key, white_rate=white_rate)
 
 
+def ridge_centred(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
+    """`ridge`, and once more about what `learned.restoration.RestorationNet` makes of that solution."""
+    return _rung("ridge-centred", scale)(spikes, scale=scale, key=key, white_rate=white_rate)
+
+
 def unrolled(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
     """`learned.unrolled_ista.UnrolledISTA`."""
     return _picture("unrolled", spikes, scale=scale, key=key, white_rate=white_rate)

@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt8
 
@@ -184,9 +185,41 @@ def _on_inputs(
     return Trainable(build, loss, picture, Preparation(make, made_of, prepared_picture))
 
 
+def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
+    from learned.restoration import RestorationConfig, RestorationNet, first_prior, restoration_loss, restored
+    from scsr_opt.reconstruction import reconstruct
+
+    config = _replaced(RestorationConfig(scale), network)
+
+    def solution(spikes: Any, white_rate: Any) -> tuple[Float[np.ndarray, "H W"], np.float32]:
+        found = reconstruct(np.asarray(spikes), scale=scale, white_rate=float(white_rate), prior=first_prior())
+        return found.image, np.float32(found.stats.get("strength", 0.0))  # none where nothing was seen
+
+    def make(example: Example) -> Mapping[str, Any]:
+        image, strength = solution(example.spikes, example.white_rate)
+        return {"image": image, "strength": strength, "truth": example.truth}
+
+    def loss(model: Any, prepared: Any) -> Float[Array, ""]:
+        image = jnp.asarray(prepared["image"], jnp.float32)
+        border = scale * min(8, min(image.shape) // scale // 8)  # there no motion is known
+        return restoration_loss(model(image, prepared["strength"]), prepared["truth"], border)
+
+    def prepared_picture(model: Any, prepared: Any) -> Float[Array, "H W"]:
+        return restored(model, jnp.asarray(prepared["image"], jnp.float32), prepared["strength"])
+
+    def picture(model: Any, spikes: Any, white_rate: Any) -> Float[Array, "H W"]:
+        image, strength = solution(spikes, white_rate)
+        return restored(model, jnp.asarray(image), strength)
+
+    return Trainable(
+        lambda key: RestorationNet(config, key=key), loss, picture, Preparation(make, {}, prepared_picture)
+    )
+
+
 MODELS["spikesr"] = _spikesr
 MODELS["velocity"] = _velocity
 MODELS["compensation"] = _compensation
+MODELS["restoration"] = _restoration
 MODELS["unrolled"] = _unrolled
 MODELS["unrolled_pase"] = _unrolled_pase
 

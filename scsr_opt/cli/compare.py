@@ -17,8 +17,9 @@ def compare(
     models: Annotated[
         str,
         Parameter(
-            help="Names with commas between: ista-tv, fista-tv, fista-huber, ridge, ridge-weakly (optimizers); "
-            "unrolled, unrolled-pase, spikesr-small, spikesr-full (networks); or .scsr files that scsr train wrote."
+            help="Names with commas between: ista-tv, fista-tv, fista-huber, ridge, ridge-weakly, ridge-centred "
+            "(optimizers); unrolled, unrolled-pase, spikesr-small, spikesr-full (networks); or .scsr files that scsr "
+            "train wrote."
         ),
     ],
     out: Annotated[

@@ -3,6 +3,7 @@
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.bilateral_total_variation import BilateralTotalVariation
 from scsr_opt.priors.bounded import Bounded
+from scsr_opt.priors.centred import Centred
 from scsr_opt.priors.default import default_prior
 from scsr_opt.priors.denoisers import NumpyDenoiser, bilateral, nl_means, tv_chambolle
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
@@ -19,6 +20,7 @@ __all__ = [
     "Analysis",
     "BilateralTotalVariation",
     "Bounded",
+    "Centred",
     "Dual",
     "HuberTotalVariation",
     "NumpyDenoiser",

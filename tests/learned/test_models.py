@@ -15,6 +15,7 @@ import learned
 from learned import checkpoint, models, posing
 from learned.models import Network, Optimizer, model, names
 from learned.posing import Posed, moment, pose, read
+from learned.restoration import RestorationConfig, RestorationNet
 from learned.spikesr import SpikeSRConfig, SpikeSRNet
 from learned.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.unrolled_ista_pase import UnrolledPASE, UnrolledPASEConfig
@@ -33,6 +34,7 @@ UNROLLED = {"stages": 2, "boundaries": (10,), "proximal": False}
 PASE = {
     **UNROLLED, "moments": 3, "length": 5, "spacing": 12, "branches": (1,), "encoder_channels": 2, "encoder_blocks": 0,
 }  # fmt: skip
+RESTORATION = {"channels": 2, "blocks": 0}
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +70,9 @@ def files(tmp_path_factory):
     net = UnrolledPASE(UnrolledPASEConfig(2, **PASE), key=jax.random.key(0))
     card = checkpoint.Card("unrolled_pase", {"scale": 2, "network": PASE}, "none", 0, "none", {})
     checkpoint.save(folder / "unrolled_pase_x2.scsr", net, card)
+    net = RestorationNet(RestorationConfig(2, **RESTORATION), key=jax.random.key(0))
+    card = checkpoint.Card("restoration", {"scale": 2, "network": RESTORATION}, "none", 0, "none", {})
+    checkpoint.save(folder / "ridge_centred_x2.scsr", net, card)
     return folder
 
 
@@ -87,7 +92,7 @@ def network(name: str) -> Network:
 
 def test_which_models_can_be_used(shelf):
     optimizers = ["ista-tv", "fista-tv", "fista-huber", "ridge", "ridge-weakly"]
-    assert names(2) == [*optimizers, "unrolled", "unrolled-pase", "spikesr-small"]
+    assert names(2) == [*optimizers, "ridge-centred", "unrolled", "unrolled-pase", "spikesr-small"]
     assert names(3) == optimizers
     for name in names(2):
         assert model(name, 2).name == name
@@ -180,6 +185,8 @@ def test_functions_for_the_scoreboard(shelf, recording):
     assert found.stages == ()  # the time is the network's own
     np.testing.assert_array_equal(found.image, network("spikesr-small")(spikes, scale=2, record=False).image)
     assert learned.unrolled(spikes, scale=2, key=20, white_rate=0.6).image.shape == (40, 48)
+    centred = learned.ridge_centred(spikes, scale=2, key=20, white_rate=0.6)
+    assert centred.result.good and centred.stats["first_iterations"] > 0
     with pytest.raises(InputError, match="no weights of spikesr-full for scale 2"):
         learned.spikesr_full(spikes, scale=2)
 

@@ -1,0 +1,160 @@
+"""What a network makes of solutions, and the solve about it."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from skimage import data
+
+from learned import checkpoint
+from learned.compare import compare_stages
+from learned.data import Example
+from learned.models import CentredOptimizer, model
+from learned.registry import trainable
+from learned.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
+from scsr_opt import InputError, Recording, Result
+from scsr_opt.camera import Sensor, simulate
+from scsr_opt.camera.scenes import Static
+
+SIZES = {"channels": 3, "blocks": 1}
+
+
+@functools.cache
+def net() -> RestorationNet:
+    return RestorationNet(RestorationConfig(2, **SIZES), key=jax.random.key(0))
+
+
+def saved(path, network: RestorationNet):
+    card = checkpoint.Card("restoration", {"scale": 2, "network": SIZES}, "none", 1, "none", {"psnr": 1.0})
+    checkpoint.save(path, network, card)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    made = simulate(Static(data.camera()[90:130, 150:198]), scale=2, frames=41, sensor=Sensor(photons=1000.0), seed=3)
+    return Recording.from_array(made.spikes)
+
+
+@pytest.fixture
+def silent(tmp_path) -> CentredOptimizer:
+    """Its network changes nothing, so that the centre is the first solution."""
+    still = eqx.tree_at(lambda n: (n.output.weight, n.output.bias), net(), replace_fn=jnp.zeros_like)
+    found = model(saved(tmp_path / "still.scsr", still), 2)
+    assert isinstance(found, CentredOptimizer)
+    return found
+
+
+@pytest.mark.parametrize("shape", [(8, 12), (9, 14), (3, 5)])
+def test_any_size_of_picture(shape):
+    image = jnp.asarray(np.random.default_rng(0).random(shape), jnp.float32)
+    found = restored(net(), image, 1e-3)
+    assert found.shape == shape and np.isfinite(found).all()
+    inside = restored(net(), jnp.pad(image, ((0, -shape[0] % 4), (0, -shape[1] % 4)), mode="edge"), 1e-3)
+    if shape[0] % 4 == shape[1] % 4 == 0:
+        np.testing.assert_array_equal(found, inside)
+
+
+@pytest.mark.parametrize("what", ["image", "strength"])
+def test_it_hears(what):
+    image = jnp.asarray(np.random.default_rng(0).random((8, 8)), jnp.float32)
+    change = restored(net(), image, 1e-3) - image
+    other = image[::-1] if what == "image" else image
+    again = restored(net(), other, 1e-3 if what == "image" else 1e-2) - other
+    assert np.abs(again - change).max() > 1e-5
+
+
+def test_it_does_not_see_how_bright_a_scene_is():
+    image = jnp.asarray(np.random.default_rng(0).random((8, 8)), jnp.float32)
+    np.testing.assert_allclose(restored(net(), image + 0.5, 1e-3), restored(net(), image, 1e-3) + 0.5, atol=1e-6)
+
+
+def test_gradients_of_all_weights():
+    image, truth = (jnp.asarray(np.random.default_rng(seed).random((8, 8)), jnp.float32) for seed in (0, 1))
+    slopes = eqx.filter_grad(lambda n: restoration_loss(n(image, 1e-3), truth, 1))(net())
+    for slope in jax.tree.leaves(slopes):
+        assert np.isfinite(slope).all() and np.abs(slope).max() > 0
+
+
+def test_every_scene_counts_by_its_decibels():
+    truth = jnp.zeros((8, 8))
+    losses = [float(restoration_loss(truth + error, truth, 0)) for error in (0.4, 0.2, 0.1)]
+    assert losses[0] - losses[1] == pytest.approx(np.log(4), abs=1e-3)
+    assert losses[1] - losses[2] == pytest.approx(np.log(4), abs=1e-2)
+    framed = truth.at[0].set(9.0).at[:, -1].set(9.0)
+    assert float(restoration_loss(framed, truth, 1)) == float(restoration_loss(truth, truth, 1))
+
+
+def test_examples_are_solutions(recording, silent):
+    task = trainable("restoration", 2, SIZES)
+    assert task.preparation is not None
+    spikes = recording.spikes
+    made = task.preparation.make(
+        Example(spikes, np.zeros((40, 48), np.float32), np.float32(0.6), np.zeros((2, 20, 24)))
+    )
+    first = model("ridge", 2)(recording, scale=2)
+    np.testing.assert_array_equal(made["image"], first.image)
+    assert made["strength"] == np.float32(first.stats["strength"])
+    np.testing.assert_array_equal(task.picture(silent.net, jnp.asarray(spikes), jnp.float32(0.6)), first.image)
+    np.testing.assert_array_equal(task.preparation.picture(silent.net, made), first.image)
+    assert np.isfinite(task.loss(net(), jax.tree.map(jnp.asarray, made)))
+
+
+def test_a_second_solve_about_the_first_solution(recording, silent):
+    first, found = model("ridge", 2)(recording, scale=2), silent(recording, scale=2)
+    assert found.result is Result.converged
+    assert found.stats["first_iterations"] == first.stats["iterations"]
+    assert {"first solve", "restoring"} <= set(found.stats["seconds"])
+    assert found.stats["strength"] == pytest.approx(2 * first.stats["strength"])
+    # The objective falls but for rounding, of a sum of ten thousand terms.
+    # It begins with the data term at the first solution.
+    objectives = np.array([stage.objective for stage in found.stages])
+    assert objectives[0] <= first.stages[-1].data * (1 + 1e-5)
+    assert (np.diff(objectives) <= 1e-5 * objectives[0]).all()
+    # What was held back by the prior is not paid for twice: the picture comes nearer to the data.
+    assert found.stages[-1].data < first.stages[-1].data
+
+
+def test_what_the_network_says_comes_through(recording, silent, tmp_path):
+    """Of bars as wide as a sensor pixel, which the data contradict, some is left: both are heard."""
+    louder = eqx.tree_at(
+        lambda n: n.output.bias, silent.net, 0.4 * jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), 4)[:, None, None]
+    )
+    other = model(saved(tmp_path / "louder.scsr", louder), 2)
+    before, after = silent(recording, scale=2).image, other(recording, scale=2).image
+    along = np.asarray(restored(louder, jnp.asarray(before), 1e-3)) - before
+    share = float(np.sum((after - before) * along) / np.sum(along**2))
+    assert 0.02 < share < 0.9
+
+
+def test_it_can_be_compared(recording, silent):
+    found = compare_stages(recording, ["fista-huber", silent], scale=2, costs=False)
+    assert [row.name for row in found.models] == ["fista-huber", silent.name]
+    assert all(np.isfinite(stage.objective) for stage in found.models[1].stages)
+    start = np.zeros((40, 48), np.float32)
+    np.testing.assert_allclose(
+        silent(recording, scale=2, start=start).image, silent(recording, scale=2).image, atol=0.02
+    )
+
+
+def test_nothing_seen(silent):
+    found = silent(np.zeros((21, 8, 8), np.uint8), scale=2)
+    assert found.result is Result.no_samples and not found.image.any()
+
+
+def test_a_network_that_fails_is_said(recording, silent, tmp_path):
+    wrong = eqx.tree_at(lambda n: n.output.bias, silent.net, replace_fn=lambda b: b + jnp.nan)
+    found = model(saved(tmp_path / "wrong.scsr", wrong), 2)(recording, scale=2)
+    assert found.result is Result.non_finite and np.isfinite(found.image).all()
+
+
+def test_what_is_refused(recording, silent):
+    with pytest.raises(InputError, match="still.scsr was trained for scale 2, but scale 3 was asked for"):
+        silent(recording, scale=3)
+    with pytest.raises(InputError, match="folding is 0; it must be at least 1"):
+        RestorationConfig(2, folding=0)
+    with pytest.raises(InputError, match="network.depth is not known: allowed are blocks, channels, folding"):
+        trainable("restoration", 2, {"depth": 3})

@@ -141,7 +141,7 @@ class Examples:
         velocity = _seen_velocity(scene, self.scale, self.patch)
         if self.varied:
             turns, flipped = int(rng.integers(4)), bool(rng.integers(2))
-            spikes, truth = _turned(spikes, turns, flipped), _turned(truth, turns, flipped)
+            spikes, truth = turned(spikes, turns, flipped), turned(truth, turns, flipped)
             velocity = turned_field(velocity, turns, flipped)
         return Example(spikes, truth, np.float32(recorded.white_rate), velocity)
 
@@ -303,15 +303,15 @@ def _halved(picture: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "h w"]:
     return picture[: 2 * h, : 2 * w].reshape(h, 2, w, 2).mean((1, 3))
 
 
-def _turned(array: Any, turns: int, flipped: bool) -> Any:
+def turned(array: Any, turns: int, flipped: bool) -> Any:
     """The last two axes turned by 90° so many times, then flipped left to right."""
-    turned = np.rot90(array, turns, axes=(-2, -1))
-    return np.ascontiguousarray(turned[..., ::-1] if flipped else turned)
+    found = np.rot90(array, turns, axes=(-2, -1))
+    return np.ascontiguousarray(found[..., ::-1] if flipped else found)
 
 
 def turned_field(field: Float[np.ndarray, "2 h w"], turns: int, flipped: bool) -> Float[np.ndarray, "2 h w"]:
     """A field of directions, down and right, in a picture that is turned like this: its arrows turn with it."""
-    down, right = _turned(field, turns, flipped)
+    down, right = turned(field, turns, flipped)
     for _ in range(turns % 4):  # a quarter turn against the clock: what went right goes up, what went down goes right
         down, right = -right, down
     return np.stack([down, -right if flipped else right])

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt8
 
-from learned.data import Example
+from learned.data import Example, turned
 from scsr_opt.errors import InputError
 
 
@@ -23,11 +23,13 @@ class Preparation(NamedTuple):
     - `make(example)`: arrays by name, of the same shapes for all examples of a size; made once (`learned.prepared`).
     - `made_of`: those of the network's sizes that they depend on.
     - `picture(model, prepared)`: the picture of the key frame; may be compiled.
+    - `varied(prepared, rng)`: as good an example, of the same shapes, each time that one is drawn; None: as it is.
     """
 
     make: Callable[[Example], Mapping[str, Any]]
     made_of: Mapping[str, Any]
     picture: Callable[[Any, Mapping[str, Any]], Float[Array, "H W"]]
+    varied: Callable[[Mapping[str, Any], np.random.Generator], Mapping[str, Any]] | None = None
 
 
 class Trainable(NamedTuple):
@@ -204,6 +206,10 @@ def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
         border = scale * min(8, min(image.shape) // scale // 8)  # there no motion is known
         return restoration_loss(model(image, prepared["strength"]), prepared["truth"], border)
 
+    def varied(prepared: Mapping[str, Any], rng: np.random.Generator) -> Mapping[str, Any]:
+        turns, flipped = int(rng.integers(4)), bool(rng.integers(2))
+        return {name: turned(value, turns, flipped) if np.ndim(value) else value for name, value in prepared.items()}
+
     def prepared_picture(model: Any, prepared: Any) -> Float[Array, "H W"]:
         return restored(model, jnp.asarray(prepared["image"], jnp.float32), prepared["strength"])
 
@@ -212,7 +218,7 @@ def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
         return restored(model, jnp.asarray(image), strength)
 
     return Trainable(
-        lambda key: RestorationNet(config, key=key), loss, picture, Preparation(make, {}, prepared_picture)
+        lambda key: RestorationNet(config, key=key), loss, picture, Preparation(make, {}, prepared_picture, varied)
     )
 
 

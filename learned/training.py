@@ -214,10 +214,12 @@ def _feed(
     preparing = Preparing(examples, config.model, config.scale, config.network)
     workers = min(8, cores) if config.workers is None else config.workers
     drawn = prepare(preparing, config.prepared, folder / "examples", made_of, workers=workers, progress=progress)
-    return _drawn(drawn, config, start)
+    return _drawn(drawn, config, start, task.preparation.varied)
 
 
-def _drawn(examples: list[Any], config: TrainingConfig, start: int) -> Generator[Any, None, None]:
+def _drawn(
+    examples: list[Any], config: TrainingConfig, start: int, varied: Callable[[Any, Any], Any] | None = None
+) -> Generator[Any, None, None]:
     """Batches of examples, all of them once in an order of chance, then again in another; by seed and step alone."""
 
     @functools.lru_cache(maxsize=2)
@@ -226,7 +228,11 @@ def _drawn(examples: list[Any], config: TrainingConfig, start: int) -> Generator
 
     for step in range(start, config.steps):
         numbers = (divmod(n, len(examples)) for n in range(step * config.batch, (step + 1) * config.batch))
-        yield stacked([examples[order(turn)[place]] for turn, place in numbers])
+        several = [examples[order(turn)[place]] for turn, place in numbers]
+        if varied is not None:
+            rng = np.random.default_rng([config.seed, step, 1])
+            several = [varied(example, rng) for example in several]
+        yield stacked(several)
 
 
 def _make_folder(folder: Path) -> None:

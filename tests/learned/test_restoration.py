@@ -103,6 +103,22 @@ def test_examples_are_solutions(recording, silent):
     assert np.isfinite(task.loss(net(), jax.tree.map(jnp.asarray, made)))
 
 
+def test_examples_are_turned_as_they_are_drawn():
+    """Picture and truth alike, all eight ways, and the same ones for the same chance."""
+    preparation = trainable("restoration", 2, SIZES).preparation
+    assert preparation is not None and preparation.varied is not None
+    varied = preparation.varied
+    image = np.arange(9.0).reshape(3, 3)
+    made = {"image": image, "truth": image + 1, "strength": np.float32(0.5)}
+    rng, again = (np.random.default_rng(0) for _ in range(2))
+    drawn = [varied(made, rng) for _ in range(60)]
+    assert len({one["image"].tobytes() for one in drawn}) == 8
+    for one, same in zip(drawn, (varied(made, again) for _ in drawn), strict=True):
+        np.testing.assert_array_equal(one["truth"], one["image"] + 1)
+        np.testing.assert_array_equal(one["image"], same["image"])
+        assert one["strength"] == np.float32(0.5)
+
+
 def test_a_second_solve_about_the_first_solution(recording, silent):
     first, found = model("ridge", 2)(recording, scale=2), silent(recording, scale=2)
     assert found.result is Result.converged

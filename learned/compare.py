@@ -75,8 +75,7 @@ def compare_stages(
     if again:
         raise InputError(f"Of the models to compare, {', '.join(again)} comes more than once: name each once.")
     for one in chosen:
-        if isinstance(one, Network):
-            one.check(here)
+        one.check(here.scale)
     networks = [one for one in chosen if isinstance(one, Network)]
     told = NoProgress() if progress is None else progress
     told.start(2 + len(chosen) + len(networks), "comparing")

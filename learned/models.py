@@ -133,6 +133,9 @@ class Optimizer:
             progress=progress,
         )
 
+    def check(self, scale: int) -> None:
+        """Raises nothing: it can be used at every scale."""
+
     def problem(self, posed: Posed) -> Problem:
         """The problem of the first iteration: with the model's own prior, and as much of it as is posed."""
         share = relative_strength(self.prior) / relative_strength(posed.prior)
@@ -149,9 +152,11 @@ class CentredOptimizer(Optimizer):
     """Eq. 4 solved as by `Optimizer`, the solution restored by a network, and Eq. 4 solved again with the prior centred
     there, λ twice as large (`learned.restoration`).
 
-    The `Solution` is the second solve's, with its stages; `stats` has `first_iterations`, and among the seconds those
-    of the `first solve` and of `restoring`. Where the first solve fails, or there is nothing to solve for, it is
-    returned.
+    Of the `Solution`, `stages` are those of both solves, the first `stats["first_iterations"]` of them of the first;
+    the objective is that of the solve that a stage belongs to. Among the seconds are those of the `first solve` and of
+    `restoring`. Where the first solve fails, or there is nothing to solve for, or what the network makes is not finite
+    (`Result.non_finite`), the first solution is returned. Where gains of pixels are not handed in, each solve finds its
+    own.
 
     **Fields:** as of `Optimizer`, and `path` of the network's weights.
     """
@@ -181,7 +186,7 @@ class CentredOptimizer(Optimizer):
 
         **Raises:** `InputError` if something handed in cannot be used, or the network is for another scale.
         """
-        _check_scale(self.path, self.net.config.scale, whole(scale, "scale", 1))
+        self.check(whole(scale, "scale", 1))
         first = super().__call__(
             spikes,
             scale=scale,
@@ -206,7 +211,7 @@ class CentredOptimizer(Optimizer):
     ) -> Solution:
         """As of `Optimizer`, both solves with motion and gain as they are posed."""
         here = posed.moment
-        _check_scale(self.path, self.net.config.scale, here.scale)
+        self.check(here.scale)
         first = super().solve(posed, start=start, keep_images=keep_images, progress=progress)
         again = functools.partial(
             reconstruct,
@@ -217,6 +222,10 @@ class CentredOptimizer(Optimizer):
             gain=posed.gain,
         )
         return self._again(first, again, keep_images=keep_images, progress=progress)
+
+    def check(self, scale: int) -> None:
+        """**Raises:** `InputError` if the network is for another scale, or its file cannot be used."""
+        _check_scale(self.path, self.net.config.scale, scale)
 
     def _again(self, first: Solution, again: Callable[..., Solution], **options: Any) -> Solution:
         if not first.result.good or first.state is None or first.motion is None:
@@ -236,10 +245,15 @@ class CentredOptimizer(Optimizer):
             state=first.state._replace(image=centre, prior=prior.initial_state(centre)),
             **options,
         )
-        solution.stats["first_iterations"] = first.stats["iterations"]
+        stages = first.stages + solution.stages
         earlier = {"first solve": sum(first.stats["seconds"].values()), "restoring": restoring}
-        solution.stats["seconds"] = earlier | solution.stats["seconds"]
-        return solution
+        stats = solution.stats | {
+            "iterations": len(stages),
+            "first_iterations": len(first.stages),
+            "seconds": earlier | solution.stats["seconds"],
+        }
+        stages = tuple(dataclasses.replace(stage, number=n) for n, stage in enumerate(stages, 1))
+        return dataclasses.replace(solution, stages=stages, stats=stats)
 
 
 @eqx.filter_jit
@@ -339,12 +353,12 @@ class Network:
 
         **Raises:** `InputError` if the network is for another scale, or `start` is no picture of this moment.
         """
-        self.check(here)
+        self.check(here.scale)
         return call(self.net, self.card, here, None if start is None else _picture(here, start), motion)
 
-    def check(self, here: Moment) -> None:
+    def check(self, scale: int) -> None:
         """**Raises:** `InputError` if the network is for another scale."""
-        _check_scale(self.path, self.card.configuration["scale"], here.scale)
+        _check_scale(self.path, self.card.configuration["scale"], scale)
 
 
 def _check_scale(path: Path, trained: int, asked: int) -> None:

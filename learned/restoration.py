@@ -25,6 +25,8 @@ from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 
 # A usual λ and the pictures' contrast, by which what the network sees is of the order of 1.
 _USUAL, _CONTRAST = 4e-4, 0.25
+# λ is told from 0 down to this share of the usual one.
+_LEAST = 1e-3
 # Mean square errors below this, 50 dB, are as good as none.
 _FLOOR = 1e-5
 
@@ -84,7 +86,8 @@ class RestorationNet(eqx.Module):
         (rows, columns), factor = image.shape, self.config.folding
         whole = jnp.pad(image, ((0, -rows % factor), (0, -columns % factor)), mode="edge")
         folded = fold((whole - jnp.mean(image))[None] / _CONTRAST, factor)
-        noise = jnp.full_like(folded[:1], jnp.log(jnp.asarray(strength, image.dtype) / _USUAL))
+        share = jnp.maximum(jnp.asarray(strength, image.dtype) / _USUAL, _LEAST)
+        noise = jnp.full_like(folded[:1], jnp.log(share))
         known = jnp.concatenate([folded, noise]).astype(self.entry.weight.dtype)
         change = self.output(leaky(self.body(leaky(self.entry(known)))))
         return image + _CONTRAST * unfold(change, factor)[0, :rows, :columns].astype(image.dtype)

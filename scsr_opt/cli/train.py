@@ -15,7 +15,7 @@ def train(
             help="A .toml file, or the name of a configuration that comes with the program: small-x2, small-x4, "
             "full-x2, full-x4, velocity, compensation-x2, compensation-x4 and guided-x2, guided-x4 (an estimate of "
             "velocity, what is made with it, and the small networks that start from both), unrolled-x2, unrolled-x4, "
-            "unrolled-pase-x2, unrolled-pase-x4, restoration-x2, restoration-x4 (for ridge-centred), or smoke, which "
+            "unrolled-pase-x2, unrolled-pase-x4, restoration-x4 (for ridge-centred), or smoke, which "
             "takes half a minute and learns nothing."
         ),
     ],

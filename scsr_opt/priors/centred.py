@@ -14,13 +14,14 @@ from scsr_opt.priors.prior import Prior
 class Centred(Prior[Any]):
     """Ψ(X − C): what differs from the picture C costs as much as the prior makes it cost on nothing.
 
-    It is convex, smooth and as steep as Ψ is, for every C, so that all guarantees of the solvers hold; and C is what it
+    It is as convex and as steep as Ψ is, for every C, so that all guarantees of the solvers hold; and C is what it
     likes best, wherever C comes from: another exposure, an earlier key frame, a network's guess
     (`learned.restoration`). The proximal step is that of Ψ, moved:
 
         argmin over X of ½‖X − f‖² + λΨ(X − C)  =  C + argmin over Z of ½‖Z − (f − C)‖² + λΨ(Z).
 
-    λ is not looked for (`reconstruct` needs `strength`), as what is left to tell from noise depends on how good C is.
+    It is used by that step alone, also where Ψ has a gradient. λ is not looked for (`reconstruct` needs `strength`), as
+    what is left to tell from noise depends on how good C is.
 
     **Arguments:** `prior` Ψ; `centre` C, (H, W), intensity.
 
@@ -40,7 +41,8 @@ class Centred(Prior[Any]):
                 "Bounded(Centred(prior, centre)) instead."
             )
         picture = jnp.asarray(centre)
-        picture = picture if jnp.issubdtype(picture.dtype, jnp.floating) else picture.astype(jnp.float32)
+        if not jnp.issubdtype(picture.dtype, jnp.floating):
+            picture = picture.real.astype(jnp.float32)
         wrong = int(jnp.count_nonzero(~jnp.isfinite(picture)))
         if picture.ndim != 2 or wrong:
             raise InputError(
@@ -56,24 +58,28 @@ class Centred(Prior[Any]):
 
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image − C)."""
-        return self.prior.value(image - self.centre)
+        return self.prior.value(self._apart(image))
 
     def value_after(self, image: Float[Array, "H W"], state: Any) -> Float[Array, ""]:
         """The same, where the proximal step has found it."""
-        return self.prior.value_after(image - self.centre, state)
+        return self.prior.value_after(self._apart(image), state)
 
     def initial_state(self, image: Float[Array, "H W"]) -> Any:
-        """That of Ψ, at image − C. **Raises:** `InputError` if the two have different shapes."""
-        if image.shape != self.centre.shape:
-            raise InputError(
-                f"Centred has a centre of shape {self.centre.shape}, but the picture has shape {image.shape}; hand in "
-                "a centre of the picture's."
-            )
-        return self.prior.initial_state(image - self.centre)
+        """That of Ψ, at image − C."""
+        return self.prior.initial_state(self._apart(image))
 
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: Any
     ) -> tuple[Float[Array, "H W"], Any]:
         """argmin over X of ½‖X − image‖² + strength · Ψ(X − C), and the state of Ψ for the next call."""
-        change, state = self.prior.prox(image - self.centre, strength, state)
+        change, state = self.prior.prox(self._apart(image), strength, state)
         return self.centre + change, state
+
+    def _apart(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """image − C. **Raises:** `InputError` if the two have different shapes."""
+        if image.shape != self.centre.shape:
+            raise InputError(
+                f"Centred has a centre of shape {self.centre.shape}, but the picture has shape {image.shape}; hand in "
+                "a centre of the picture's."
+            )
+        return image - self.centre

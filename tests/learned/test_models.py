@@ -227,7 +227,7 @@ def test_a_picture_that_is_not_finite_is_not_handed_on(tmp_path, shelf, posed):
 def test_what_cannot_be(shelf, tmp_path, recording, posed):
     with pytest.raises(InputError, match="There is no model 'magic': take one of ista-tv"):
         model("magic", 2)
-    with pytest.raises(InputError, match=r"for scale 4 \(shipped are: spikesr_small_x2, unrolled_pase_x2, "):
+    with pytest.raises(InputError, match=r"for scale 4 \(shipped are: ridge_centred_x2, spikesr_small_x2, "):
         model("spikesr-small", 4)
     with pytest.raises(InputError, match="cannot be read"):
         model(str(tmp_path / "none.scsr"), 2)

@@ -65,6 +65,7 @@ OPTIMIZERS: dict[str, Callable[[], tuple[Prior, Solver]]] = {
     "ridge-weakly": lambda: (RidgeRegulariser.load("weakly_convex"), FISTA()),
 }
 CENTRED = "ridge-centred"
+# All that needs weights of its own, the optimizer among them whose prior a network centres.
 NETWORKS = (CENTRED, "unrolled", "unrolled-pase", "spikesr-small", "spikesr-full")
 
 

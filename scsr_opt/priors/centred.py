@@ -1,6 +1,6 @@
 """A prior about another picture than a flat one."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -31,8 +31,6 @@ class Centred(Prior[Any]):
 
     prior: Prior
     centre: Float[Array, "H W"]
-
-    smooth: ClassVar[bool] = False
 
     def __init__(self, prior: Prior, centre: ArrayLike):
         if isinstance(prior, Bounded):

@@ -14,7 +14,7 @@ from scsr_opt.camera.gain import blind_gain, gain_is_known, share_of_unknown_gai
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording, checked_white_rate
-from scsr_opt.camera.samples import Samples
+from scsr_opt.camera.samples import RUN, Samples
 from scsr_opt.cutting import cut_to_seen
 from scsr_opt.inputs import bad_pixels_of, whole
 from scsr_opt.motion.estimate import filled
@@ -81,10 +81,11 @@ def stream_around(
     start, stop = recording.around(key, whole(frames, "frames", 1))
     rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
     bad = bad_pixels_of(recording, bad_pixels)
-    stream = Stream(recording.window(start, stop), key - start, rate, bad)
-    if bad is not None:
-        stream.spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
-    return key, stream
+    if bad is None:
+        return key, Stream(recording.source.view(start, stop), key - start, rate, bad)
+    spikes = recording.window(start, stop)
+    spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
+    return key, Stream(spikes, key - start, rate, bad)
 
 
 def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
@@ -165,6 +166,8 @@ def measured(
     measuring: Measuring,
     gain: Float[np.ndarray, "h w"] | None = None,
     merge: bool = True,
+    longest: int | None = None,
+    on_sensor: bool = False,
 ) -> Measurements:
     """The measurements of a recording, placed along a motion.
 
@@ -174,8 +177,11 @@ def measured(
     - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
-    - `merge`: whether intervals are merged where nothing moves; the picture is the same, but for long intervals that
-      are cut (`scsr_opt.cutting`), which merged ones are not. Windows are not merged.
+    - `merge`: whether intervals are merged where nothing moves, up to `longest` frames if given, and where a pixel is
+      saturated; the picture is the same, but for long intervals that are cut (`scsr_opt.cutting`), which merged ones
+      are not. Windows are not merged.
+    - `on_sensor`: whether samples of a scene in which nothing moves at all are placed on the sensor's grid alone
+      (`PlacedSamples`).
     """
     frames, height, width = stream.spikes.shape
     followed = isinstance(motion, Trajectory)
@@ -188,9 +194,14 @@ def measured(
             still = _MERGED_MOTION / (scale * fastest)
             # A merged interval has one weight.
             steady = _MERGED_CHANGE / path.unsteady
-        possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
-        still_for = possible if np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE else still_for
-    samples = measuring(stream.spikes, white_rate=stream.white_rate, still_for=still_for, bad_pixels=stream.bad_pixels)
+        most = frames if longest is None else min(longest, frames)
+        possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, most).astype(np.int32)
+        worthwhile = longest is not None or np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE
+        still_for = possible if worthwhile else still_for
+    samples = measuring(
+        stream.spikes, white_rate=stream.white_rate, still_for=still_for, run=RUN if merge else 1,
+        bad_pixels=stream.bad_pixels,
+    )  # fmt: skip
     light = samples.weight
     if isinstance(measuring, Intervals) and measuring.ends > 0:
         samples = cut_to_seen(samples, path, frames=frames, white_rate=stream.white_rate, ends=measuring.ends)
@@ -208,6 +219,7 @@ def measured(
         shape=(scale * height, scale * width),
         positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
         finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
+        on_sensor=on_sensor and path.position.shape[0] == 1,
     )
     return Measurements(samples, light, padded, placed, still_for, path)
 

@@ -158,11 +158,16 @@ def reconstruct(
     known = gain_is_known(motion.moved(len(stream.spikes)))
     resting = None
     if blind and not known.all():
-        resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels)
+        resting = gain_at_rest(
+            stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip
+        )
         gains = np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     measuring = Intervals() if samples is None else samples
-    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip)
+    taken = measured(
+        stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip,
+        on_sensor=skip and not rounds_of_motion,
+    )  # fmt: skip
     used = int(jnp.count_nonzero(taken.placed.weight))
     if used == 0 or not stream.spikes.any():
         stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
@@ -200,6 +205,7 @@ def reconstruct(
             gain=gains,
             optics=rounds.optics,
             noise=noise,
+            skip=skip,
         )
 
     if validate:
@@ -212,7 +218,7 @@ def reconstruct(
     turns = _TURNS if blind and known.any() else 0
     if turns and gain == "auto" and found.outcome.result.good:
         few = np.zeros(known.size, bool)
-        few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT)]] = True
+        few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT) if skip else 1]] = True
         few = few.reshape(known.shape)
         looked = measured_as.gain(stream, motion, found.blurred, robust=robust, of=few)
         learned["gain_spread"] = spread_of(looked, few)

@@ -124,19 +124,20 @@ def plan_of(
     count = spike_counts(spikes)
     fired = count.astype(np.float32) / np.float32(frames)
     still = merged_for >= frames
-    mean, pixels = _tiles(fired, np.mean), _tiles(np.ones_like(fired), np.sum)
-    scatter = _tiles(fired**2, np.sum) - pixels * mean**2
+    pixels = _tiles(np.ones_like(fired), np.add)
+    mean = _tiles(fired, np.add) / pixels
+    scatter = _tiles(fired**2, np.add) - pixels * mean**2
     # No mean is known better than to a spike: the phase of a pixel's first one is chance.
     variance = max(noise**2, 1 / 12 / frames**2)
     flat = scatter <= variance * chi2.ppf(1 - _FALSE_ALARM, np.maximum(pixels - 1, 1))
 
     def of_tiles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows columns"]:
         summed = np.bincount(pixel, values, minlength=height * width).reshape(height, width)
-        return _tiles(summed.astype(np.float32), np.sum)
+        return _tiles(summed.astype(np.float32), np.add)
 
     share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
     kind = np.full(mean.shape, int(Kind.MOVING))
-    rests = _tiles(still.astype(np.float32), np.min) > 0
+    rests = _tiles(still.astype(np.float32), np.minimum) > 0
     kind[rests] = Kind.STATIC
     kind[rests & flat] = Kind.UNIFORM
     kind[share < _USED] = Kind.FAST
@@ -144,7 +145,7 @@ def plan_of(
     kind[mean >= SATURATED] = Kind.SATURATED
     return Plan(
         kind=kind,
-        merged_for=_tiles(merged_for.astype(np.float32), np.min).astype(np.int32),
+        merged_for=_tiles(merged_for.astype(np.float32), np.minimum).astype(np.int32),
         used=share.astype(np.float32),
         scene=_scene(motion),
         intervals=int(count.sum()) + int(np.count_nonzero(count)) + int(np.count_nonzero(count == 0)),
@@ -162,8 +163,7 @@ def _scene(motion: Motion) -> str:
     return "one motion" if third <= 1e-4 * float(np.abs(motion.velocity).max()) else "a motion for each pixel"
 
 
-def _tiles(values: Float[np.ndarray, "h w"], reduced: Any) -> Float[np.ndarray, "rows columns"]:
+def _tiles(values: Float[np.ndarray, "h w"], reduced: np.ufunc) -> Float[np.ndarray, "rows columns"]:
     """One number for each tile, from its pixels."""
-    height, width = values.shape
-    rows, columns = range(0, height, TILE), range(0, width, TILE)
-    return np.array([[reduced(values[r : r + TILE, c : c + TILE]) for c in columns] for r in rows], np.float32)
+    rows, columns = (np.arange(0, length, TILE) for length in values.shape)
+    return reduced.reduceat(reduced.reduceat(values, columns, axis=1), rows, axis=0)

@@ -8,15 +8,19 @@ picture made from the others has to predict them.
 """
 
 import dataclasses
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.operator import LinearOperator
@@ -140,6 +144,12 @@ class _Part:
         return _missed(self._placed, self._held, self._plain.blurred(self.image))
 
 
+def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
+    """`_Part.missed` of the picture of this strength."""
+    part.solve(solver, prior, strength)
+    return np.asarray(part.missed())
+
+
 def validated_strength(
     stream: Stream,
     motion: Motion,
@@ -153,6 +163,7 @@ def validated_strength(
     gain: Float[np.ndarray, "h w"] | None = None,
     optics: LinearOperator | None = None,
     noise: float | None = None,
+    skip: bool = True,
 ) -> Validated:
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more (`_BEYOND`).
 
@@ -164,7 +175,8 @@ def validated_strength(
     **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
     use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`. `noise`: what
-    `noise_of_mean` finds, if that is known.
+    `noise_of_mean` finds, if that is known. `skip`: whether the intervals of a stretch that is held out, or is not, are
+    merged where nothing moves.
 
     **Raises:** as `relative_strength`.
     """
@@ -172,23 +184,27 @@ def validated_strength(
     side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
     good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
     moved = motion.moved(len(stream.spikes))
-    parts, by_pixels = [], []
-    for area in _chosen(np.asarray(image), scale, side, good):
-        pieces = taken
+
+    def made(area: tuple[slice, slice]) -> _Part | None:
+        pieces, seen = taken, stream.part(*area)
+        stretch = _stretch(seen)
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
-            # None are merged, as what is held out has to be in pieces.
+            # What is held out has to be in pieces.
             pieces = measured(
-                stream.part(*area),
+                seen,
                 taken.path.part(*area),
                 scale=scale,
                 measuring=measuring,
                 gain=None if gain is None else gain[area],
-                merge=False,
+                merge=skip,
+                longest=stretch,
+                on_sensor=skip,
             )
-        part = _split(pieces, moved[area], optics, image[_scaled(area, scale)])
-        if part is not None:
-            parts.append(part)
-            by_pixels.append((moved[area] >= _MOVED).mean())
+        return _split(pieces, moved[area], stretch, optics, image[_scaled(area, scale)])
+
+    areas = _chosen(image, scale, side, good)
+    found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
+    parts = [part for _, part in found]
     if not parts:
         return Validated(least, None)
     # A prior that is used by its gradient need not have a proximal step.
@@ -199,14 +215,11 @@ def validated_strength(
     share = relative_strength(prior) / relative_strength(stand_in)
     tried: dict[float, float] = {}
 
-    for part in parts:
-        part.expose(solver, stand_in, least / share)
+    in_threads(lambda part: part.expose(solver, stand_in, least / share), parts)
 
     def missed(factor: float) -> float:
         if factor not in tried:
-            for part in parts:
-                part.solve(solver, stand_in, least * factor / share)
-            squares, weights = np.sum([part.missed() for part in parts], axis=0)
+            squares, weights = np.sum(in_threads(partial(_misses, solver, stand_in, least * factor / share), parts), 0)
             tried[factor] = float(squares / weights)
         return tried[factor]
 
@@ -216,7 +229,7 @@ def validated_strength(
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2
     best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
-    by_pixel = float(np.mean(by_pixels))
+    by_pixel = float(np.mean([(moved[area] >= _MOVED).mean() for area, _ in found]))
     beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
     if learned:
         best = _STAND_IN[0] * best ** _STAND_IN[1]
@@ -226,15 +239,14 @@ def validated_strength(
 
 
 def _chosen(
-    image: Float[np.ndarray, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
+    image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
 ) -> list[tuple[slice, slice]]:
     """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `_PARTS` at most. All
     parts that overlap by up to half are sorted by their mean contrast in `image` into as many groups; of each, the one
     nearest to the group's mean is taken, of equals that nearest to the middle. Only `good` pixels count, and parts with
     less than half their share of them are left out."""
     height, width = good.shape
-    down, right = (np.diff(image, axis=k, prepend=np.take(image, [0], k)) for k in (0, 1))
-    contrast = good * (np.abs(down) + np.abs(right)).reshape(height, scale, width, scale).mean((1, 3))
+    contrast = good * np.asarray(_contrast(jnp.asarray(image), scale))
     begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in good.shape]
     places = np.stack(np.meshgrid(*begins, indexing="ij"), -1).reshape(-1, 2).astype(int)
     places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
@@ -247,6 +259,14 @@ def _chosen(
     return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
 
 
+@partial(jax.jit, static_argnames="scale")
+def _contrast(image: Float[Array, "H W"], scale: int) -> Float[Array, "h w"]:
+    """Mean of the differences from pixel to pixel in each sensor pixel."""
+    down, right = (jnp.abs(jnp.diff(image, axis=k, prepend=jnp.take(image, jnp.array([0]), k))) for k in (0, 1))
+    height, width = (length // scale for length in image.shape)
+    return (down + right).reshape(height, scale, width, scale).mean((1, 3))
+
+
 def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
     """The high-resolution pixels of sensor pixels."""
     rows, columns = area
@@ -256,30 +276,36 @@ def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
 def _split(
     taken: Measurements,
     moved: Float[np.ndarray, "h w"],
+    stretch: int,
     optics: LinearOperator | None,
     first: Float[Array, "H W"],
 ) -> _Part | None:
     """The samples, a fifth of them held out; None if there are too few to do so."""
-    held, weight = _held_out(taken.padded, moved), np.asarray(taken.placed.weight)
+    held, weight = _held_out(taken.padded, moved, stretch), np.asarray(taken.placed.weight)
     if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
         return None
     rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
     return _Part(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), first)
 
 
-def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
-    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel."""
+def _stretch(stream: Stream) -> int:
+    """Frames of a stretch that is held out: two intervals, as they last on the average over time."""
+    count = spike_counts(stream.spikes)
+    lasting = len(stream.spikes) / np.maximum(count if stream.bad_pixels is None else count[~stream.bad_pixels], 1)
+    return max(_STRETCH, round(2 * float(lasting.mean()))) if lasting.size else _STRETCH
+
+
+def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"], stretch: int) -> Bool[np.ndarray, " n"]:
+    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `stretch`, frames."""
     rows, columns = np.indices(moved.shape)
     pixel = np.asarray(samples.row) * moved.shape[1] + np.asarray(samples.column)
     whole = (moved >= _MOVED).reshape(-1)
     # A knight's move apart: no two neighbours.
     held = whole[pixel] & ((2 * rows + columns) % _SHARE == 0).reshape(-1)[pixel]
     if not whole.all():
-        duration = np.asarray(samples.stop - samples.start)
-        typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
-        stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
+        which = np.asarray((samples.start + samples.stop) / 2 // stretch).astype(np.int32)
         # From pixel to pixel another stretch, so that no time is missing.
-        by_time = (stretch.astype(np.int32) + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0
+        by_time = (which + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0
         held = np.where(whole[pixel], held, by_time)
     return np.asarray(held)
 

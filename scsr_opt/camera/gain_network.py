@@ -22,6 +22,7 @@ from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.recording import READOUT_RATE, checked_settings
 from scsr_opt.camera.samples import spike_intervals
+from scsr_opt.camera.saturation import spike_counts
 
 WEIGHTS = Path(__file__).parent / "weights" / "gain_network.npz"
 """The trained network, with a card beside it that says what it was trained on."""
@@ -133,6 +134,7 @@ def gain_at_rest(
     white_rate: float | int,
     bad_pixels: ArrayLike | None = None,
     network: GainNetwork | None = None,
+    skip: bool = True,
 ) -> Float[np.ndarray, "h w"]:
     """Gains of a camera before a still scene, as far as they can be told from the picture.
 
@@ -146,6 +148,7 @@ def gain_at_rest(
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
     - `network`: the shipped one, if not given.
+    - `skip`: whether windows of a large sensor that show no pattern are taken for all of it.
 
     **Returns:** (h, w), around 1.
 
@@ -154,12 +157,12 @@ def gain_at_rest(
     bad = checked_settings(spikes.shape, READOUT_RATE, white_rate, bad_pixels)["bad_pixels"]
     if len(spikes) < 2:
         return np.ones(spikes.shape[1:], np.float32)
+    network = GainNetwork.load() if network is None else network
+    bad = np.zeros(spikes.shape[1:], bool) if bad is None else bad
+    if skip and _is_plain(network, spikes, white_rate, bad):
+        return np.ones(bad.shape, np.float32)
     rate, noise = rates_at_rest(spikes, white_rate=white_rate, bad_pixels=bad)
     rate = rate / max(float(np.quantile(rate, 1 - _WHITE)), 1.0)
-    network = GainNetwork.load() if network is None else network
-    bad = np.zeros(rate.shape, bool) if bad is None else bad
-    if _is_plain(network, rate, noise, bad):
-        return np.ones_like(rate)
     found = _logarithm(network, rate, noise, bad)
     spread = _spreads(found, rate, noise)
     enough = spread.size >= max(_FEWEST, _ENOUGH * (rate.size // _SQUARE**2))
@@ -169,38 +172,40 @@ def gain_at_rest(
 
 
 def _is_plain(
-    network: GainNetwork,
-    rate: Float[np.ndarray, "h w"],
-    noise: Float[np.ndarray, "h w"],
-    bad: Bool[np.ndarray, "h w"],
+    network: GainNetwork, spikes: Shaped[np.ndarray, "T h w"], white_rate: float | int, bad: Bool[np.ndarray, "h w"]
 ) -> bool:
     """Whether windows of a sensor that is much larger than they are show that there is no pattern."""
     reach = len(network.layers)  # a convolution of 3×3 each: so far from its border a window is as the whole sensor
     side = _ACROSS * _SQUARE + 2 * reach
-    if 2 * math.prod(_WINDOWS) * side**2 > rate.size or min(rate.shape) < side:
+    if 2 * math.prod(_WINDOWS) * side**2 > bad.size or min(bad.shape) < side:
         return False
-    down, across = (np.linspace(0, n - side, k).astype(int) for n, k in zip(rate.shape, _WINDOWS, strict=True))
-
-    def inner(of: Float[np.ndarray, "side side"]) -> Float[np.ndarray, "inner inner"]:
-        return of[reach:-reach, reach:-reach]
-
-    spread = []
-    for top in down:
-        for left in across:
-            seen = [of[top : top + side, left : left + side] for of in (rate, noise, bad)]
-            spread.append(_spreads(*(inner(of) for of in (_logarithm(network, *seen), *seen[:2]))))
-    spread = np.concatenate(spread)
-    return spread.size >= _FEWEST and float(np.mean(spread < _PATTERN)) > _PLAIN
+    down, across = (np.linspace(0, n - side, k).astype(int) for n, k in zip(bad.shape, _WINDOWS, strict=True))
+    white = np.quantile(spike_counts(spikes), 1 - _WHITE) / (len(spikes) * white_rate)
+    inner, plain, seen = np.s_[reach:-reach, reach:-reach], 0, 0
+    for row, top in enumerate(down, 1):
+        windows = [np.s_[top : top + side, left : left + side] for left in across]
+        rates = [rates_at_rest(spikes[:, *w], white_rate=white_rate, bad_pixels=bad[w]) for w in windows]
+        rate, noise = np.stack([one for one, _ in rates]) / max(float(white), 1.0), np.stack([one for _, one in rates])
+        found = _logarithm(network, rate, noise, np.stack([bad[w] for w in windows]))
+        for each in zip(found, rate, noise, strict=True):
+            spread = _spreads(*(one[inner] for one in each))
+            plain, seen = plain + int(np.count_nonzero(spread < _PATTERN)), seen + spread.size
+        # As many as there can be at most count for the windows that follow: some tell before they are looked at.
+        most = seen + (len(down) - row) * len(across) * _ACROSS**2
+        if plain > _PLAIN * most:
+            return seen >= _FEWEST
+    return False
 
 
 def _logarithm(
     network: GainNetwork,
-    rate: Float[np.ndarray, "h w"],
-    noise: Float[np.ndarray, "h w"],
-    bad: Bool[np.ndarray, "h w"],
-) -> Float[np.ndarray, "h w"]:
-    """ln g, 0 where a pixel is bad."""
-    found = np.asarray(_found(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
+    rate: Float[np.ndarray, "*n h w"],
+    noise: Float[np.ndarray, "*n h w"],
+    bad: Bool[np.ndarray, "*n h w"],
+) -> Float[np.ndarray, "*n h w"]:
+    """ln g of one picture or several, 0 where a pixel is bad."""
+    one_or_all = _found if rate.ndim == 2 else _all_found
+    found = np.asarray(one_or_all(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
     return np.where(bad, 0, np.clip(found, -_FARTHEST, _FARTHEST))
 
 
@@ -219,3 +224,4 @@ def _in_squares(of: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
 
 
 _found = eqx.filter_jit(GainNetwork.__call__)
+_all_found = eqx.filter_jit(eqx.filter_vmap(GainNetwork.__call__, in_axes=(None, 0, 0)))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
 from scsr_opt.camera.noise import Noise
-from scsr_opt.camera.samples import ENDS, Samples, spike_intervals, windows
+from scsr_opt.camera.samples import ENDS, RUN, Samples, spike_intervals, windows
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type
 
@@ -23,12 +23,14 @@ class Measuring(eqx.Module):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
+        run: int = RUN,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         """The samples of a recording.
 
         **Arguments:** `spikes`, `white_rate`, `bad_pixels` as of `spike_intervals`; `still_for`: frames, at least 1,
-        during which what a pixel sees hardly moves.
+        during which what a pixel sees hardly moves; `run`: as of `spike_intervals`, frames over which a saturated
+        pixel is taken together.
         """
 
 
@@ -57,9 +59,12 @@ class Intervals(Measuring):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
+        run: int = RUN,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
-        return spike_intervals(spikes, white_rate=white_rate, shortest=still_for, bad_pixels=bad_pixels, ends=self.ends)
+        return spike_intervals(
+            spikes, white_rate=white_rate, shortest=still_for, run=run, bad_pixels=bad_pixels, ends=self.ends
+        )
 
 
 class Windows(Measuring):
@@ -86,6 +91,7 @@ class Windows(Measuring):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
+        run: int = RUN,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         return windows(spikes, length=self.length, white_rate=white_rate, bad_pixels=bad_pixels)

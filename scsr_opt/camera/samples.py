@@ -20,21 +20,20 @@ All are weighted by duration. Intervals of one pixel share their ends, so their 
 weighted by duration they add up to the exact light between the first and the last spike.
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 
 ENDS = 0.1
 """Weight of the time before a pixel's first and after its last spike, beside that of as long an interval (measured)."""
 
-# Intervals of one frame that follow one another are merged up to so many frames.
-_RUN = 4
+RUN = 4
+"""Intervals of one frame that follow one another are merged up to so many frames."""
 
 # Pixels whose intervals are found at once: what that takes stays in the cache, and several are worked on side by side.
 _BAND = 16_384
@@ -91,6 +90,7 @@ def spike_intervals(
     *,
     white_rate: float = 0.6,
     shortest: int | Int[np.ndarray, "h w"] = 1,
+    run: int = RUN,
     first_frame: int = 0,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ends: float | int = ENDS,
@@ -100,12 +100,13 @@ def spike_intervals(
     Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in
     each block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing
     moves during `shortest` frames, and leaves fewer samples to handle. So does merging intervals of one frame that
-    follow one another, up to four: the pixel is saturated, and each says the same.
+    follow one another, up to `run`: the pixel is saturated, and each says the same.
 
     **Arguments:**
     - `spikes`: (T, h, w), 0 or 1.
     - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
     - `shortest`: frames, at least 1; one number or one per pixel. Pixels with T or more come after the others.
+    - `run`: frames, at least 1, over which intervals of one frame are merged; 1 leaves each a sample of its own.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
     - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
@@ -118,7 +119,7 @@ def spike_intervals(
         raise InputError(f"ends is {ends!r}, but it must be a number from 0 (left out) to 1 (as good as intervals).")
     frames, height, width = spikes.shape
     good = np.ones(height * width, bool) if bad_pixels is None else ~bad_pixels.reshape(-1)
-    known = _Known.of(spikes.astype(bool, copy=False).reshape(frames, -1))
+    times = SpikeTimes.of(np.asarray(spikes).reshape(frames, -1))
     merged = np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)
     # Of pixels that are still all the time, only the first and the last spike and their number count.
     still = merged >= frames
@@ -137,15 +138,15 @@ def spike_intervals(
         )
 
     bands = np.array_split(others, max(1, others.size // _BAND))
-    parts = in_threads(lambda pixels: made(_between(spikes, pixels, merged)), bands)
-    parts.append(made(known.between(np.flatnonzero(good & still))))
+    parts = in_threads(lambda pixels: made(_between(spikes, pixels, merged, run)), bands)
+    parts.append(made(_throughout(times, np.flatnonzero(good & still))))
     if ends > 0:
-        parts.append(made(known.ends(good), ends))
+        parts.append(made(_ends(times, frames, good), ends))
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
 def _between(
-    spikes: Shaped[np.ndarray, "T h w"], pixels: Int[np.ndarray, " pixels"], shortest: Int[np.ndarray, " hw"]
+    spikes: Shaped[np.ndarray, "T h w"], pixels: Int[np.ndarray, " pixels"], shortest: Int[np.ndarray, " hw"], run: int
 ) -> tuple[np.ndarray, ...]:
     """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
     frames = spikes.shape[0]
@@ -156,7 +157,7 @@ def _between(
     # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
     every_frame = np.zeros(where.size + 1, bool)
     every_frame[1:-1] = (time[1:] - time[:-1] == 1) & (pixel[1:] == pixel[:-1])
-    within = every_frame[1:] & every_frame[:-1] & (time % _RUN != 0)
+    within = every_frame[1:] & every_frame[:-1] & (time % run != 0)
     pixel, time, order = pixel[~within], time[~within], order[~within]
     if np.any(shortest[pixels] > 1):
         number = time.size
@@ -173,41 +174,22 @@ def _between(
     return pixels[pixel[1:][same]], time[:-1][same], time[1:][same], (order[1:] - order[:-1])[same]
 
 
-class _Known(NamedTuple):
-    """Of every pixel: its first and last spike (frames; where there is none, T and −1), and how many there are."""
+def _throughout(times: SpikeTimes, pixels: Int[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
+    """From the first to the last spike of some pixels: pixel, start, stop and thresholds gathered."""
+    some = pixels[times.count[pixels] >= 2]
+    return some, times.first[some], times.last[some], times.count[some] - 1
 
-    first: Int[np.ndarray, " pixels"]
-    last: Int[np.ndarray, " pixels"]
-    count: Int[np.ndarray, " pixels"]
-    frames: int
 
-    @classmethod
-    def of(cls, fired: Bool[np.ndarray, "T pixels"]) -> "_Known":
-        frames = len(fired)
-        kind = np.int16 if frames < 2**15 else np.int32
-        # From the ends inwards, so that each needs one maximum a frame.
-        since_first, last, count = (np.zeros(fired.shape[1], kind) for _ in range(3))
-        for t, now in enumerate(fired.view(np.int8)):
-            np.maximum(last, now * kind(t + 1), out=last)
-            np.maximum(since_first, now * kind(frames - t), out=since_first)
-            count += now
-        return cls(frames - since_first.astype(np.intp), last.astype(np.intp) - 1, count.astype(np.intp), frames)
-
-    def between(self, pixels: Int[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
-        """From the first to the last spike: pixel, start, stop and thresholds gathered."""
-        some = pixels[self.count[pixels] >= 2]
-        return some, self.first[some], self.last[some], self.count[some] - 1
-
-    def ends(self, good: Bool[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
-        """The same of all ends; frame t covers [t − ½, t + ½]."""
-        lit, dark = np.flatnonzero(good & (self.count > 0)), np.flatnonzero(good & (self.count == 0))
-        opening, closing = np.full(lit.size, -0.5), np.full(lit.size, self.frames - 0.5)
-        return (
-            np.concatenate([lit, lit, dark]),
-            np.concatenate([opening, self.last[lit], np.full(dark.size, -0.5)]),
-            np.concatenate([self.first[lit], closing, np.full(dark.size, self.frames - 0.5)]),
-            np.concatenate([np.full(2 * lit.size, 0.5), np.zeros(dark.size)]),
-        )
+def _ends(times: SpikeTimes, frames: int, good: Bool[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
+    """The same of all ends; frame t covers [t − ½, t + ½]."""
+    lit, dark = np.flatnonzero(good & (times.count > 0)), np.flatnonzero(good & (times.count == 0))
+    opening, closing = np.full(lit.size, -0.5), np.full(lit.size, frames - 0.5)
+    return (
+        np.concatenate([lit, lit, dark]),
+        np.concatenate([opening, times.last[lit], np.full(dark.size, -0.5)]),
+        np.concatenate([times.first[lit], closing, np.full(dark.size, frames - 0.5)]),
+        np.concatenate([np.full(2 * lit.size, 0.5), np.zeros(dark.size)]),
+    )
 
 
 def windows(

@@ -3,13 +3,15 @@
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
+from scsr_opt.camera.spike_times import SpikeTimes
+
 SATURATED = 0.9
 """Share of the frames in which a saturated pixel fires: it is as bright as can be measured, or brighter."""
 
 
 def spike_counts(spikes: Shaped[np.ndarray, "T h w"]) -> Int[np.ndarray, "h w"]:
-    """How often each pixel fired. Adding bytes takes a fraction of the time of `np.count_nonzero`."""
-    return np.add.reduce(spikes.astype(bool, copy=False).view(np.int8), axis=0, dtype=np.int32)
+    """How often each pixel fired."""
+    return SpikeTimes.of(spikes).count.astype(np.int32)
 
 
 def saturated(

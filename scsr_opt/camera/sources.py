@@ -63,6 +63,10 @@ class SpikeSource(ABC):
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
         """Frames `start` to `stop` − 1 as a new array; 0 ≤ start < stop ≤ T is the caller's care."""
 
+    def view(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
+        """The same to look at, not to be written to: where they are in memory, they are not copied."""
+        return self.read(start, stop)
+
 
 @dataclass(frozen=True, eq=False)
 class ArraySource(SpikeSource):
@@ -77,6 +81,10 @@ class ArraySource(SpikeSource):
 
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
         return _copied(self.array[start:stop], self.flipped)
+
+    def view(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
+        seen = (self.array[:, ::-1] if self.flipped else self.array)[start:stop]
+        return np.ascontiguousarray(seen)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ from jaxtyping import Array, Float, Shaped
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.rates import interval_rates
+from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.spike_times import SpikeTimes
+from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.trajectory import bilinear
 
 
@@ -41,8 +44,9 @@ class Stretches:
 
         Made once for each `sigma`: nearly everything that looks at pictures asks for the same few."""
         if sigma not in self._presmoothed:
-            blurred = gaussian_filter(np.asarray(self.picture), sigma, axes=(1, 2), mode="nearest")
-            self._presmoothed[sigma] = Stretches(jnp.asarray(blurred), self.after, self.firing)
+            halves = np.array_split(np.asarray(self.picture), 2)
+            blurred = in_threads(lambda part: gaussian_filter(part, sigma, axes=(1, 2), mode="nearest"), halves)
+            self._presmoothed[sigma] = Stretches(jnp.asarray(np.concatenate(blurred)), self.after, self.firing)
         return self._presmoothed[sigma]
 
     def from_moment(self, after: float) -> "Stretches":
@@ -73,7 +77,7 @@ def stretches(
     edges = np.linspace(begin, end, number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
-    firing = np.count_nonzero(spikes, axis=0).astype(np.float32) / np.float32(frames)
+    firing = spike_counts(spikes).astype(np.float32) / np.float32(frames)
     counted = _counted(spikes, edges)
     return Stretches(*(jnp.asarray(each, jnp.float32) for each in (rates, middle, firing, counted)))
 
@@ -82,8 +86,8 @@ def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edg
     """Spikes per frame between whole frames near the edges."""
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
-    fired = spikes[: whole[-1]].astype(bool, copy=False).view(np.uint8)
-    counts = np.add.reduceat(fired, whole[:-1], axis=0, dtype=np.uint16)
+    stretched = zip(whole[:-1], whole[1:], strict=True)
+    counts = np.stack([SpikeTimes.of(spikes, begin, end).count for begin, end in stretched])
     return counts / np.diff(whole).astype(np.float32)[:, None, None]
 
 

@@ -29,6 +29,7 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Trajectory
 from scsr_opt.operators.aperture import Aperture
+from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.operator import LinearOperator
 
 # Samples are visited so many at a time, if their number allows, but not fewer than so many.
@@ -65,7 +66,8 @@ class DataTerm(eqx.Module):
 
     **Fields:**
     - `stencil`: M. `target`: c, (H, W). `energy`: e.
-    - `aperture`, `optics`: B = aperture ∘ optics; `optics` None means a perfect lens.
+    - `aperture`, `optics`: B = aperture ∘ optics; `optics` None means a perfect lens. The aperture slides over the
+      high-resolution grid, or, where nothing moves, stands on the sensor's: U is (h, w) then.
     - `bound`: an upper bound of ‖BᵀMB‖ where one is known (`scsr_opt.solvers.with_bound`), so that the next solve with
       the same M need not find it; None where not.
     """
@@ -73,7 +75,7 @@ class DataTerm(eqx.Module):
     stencil: Stencil
     target: Float[Array, "H W"]
     energy: Float[Array, ""]
-    aperture: Aperture
+    aperture: Aperture | Downsample
     optics: LinearOperator | None
     bound: Float[Array, ""] | None = None
 
@@ -139,7 +141,8 @@ class PlacedSamples(eqx.Module):
     - `positions` (n,): how many of these a sample has; 0 for padding.
     - `value`, `weight` (n,): Y_j and ω_j; the weight is 0 where a sample leaves the picture or sees what the key frame
       does not show.
-    - `scale` s, `shape` (H, W).
+    - `scale` s, `shape` of U: (H, W), or (h, w) if `on_sensor`: where nothing moves, all samples lie on the sensor's
+      grid, and nothing else of U is ever read.
     """
 
     taps: Taps
@@ -148,6 +151,7 @@ class PlacedSamples(eqx.Module):
     weight: Float[Array, " n"]
     scale: int = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
+    on_sensor: bool = eqx.field(static=True, default=False)
 
     @property
     def finest(self) -> int:
@@ -159,7 +163,7 @@ class PlacedSamples(eqx.Module):
         """The samples of these numbers."""
         taps = jax.tree.map(lambda field: field[:, numbers], self.taps)
         positions, value, weight = (field[numbers] for field in (self.positions, self.value, self.weight))
-        return PlacedSamples(taps, positions, value, weight, self.scale, self.shape)
+        return PlacedSamples(taps, positions, value, weight, self.scale, self.shape, self.on_sensor)
 
     @eqx.filter_jit
     def read(self, u: Float[Array, "H W"]) -> Float[Array, " n"]:
@@ -254,6 +258,7 @@ def place(
     shape: tuple[int, int],
     positions: Int[Array, " n"] | None = None,
     finest: int = 1,
+    on_sensor: bool = False,
 ) -> PlacedSamples:
     """Where each sample was taken, on the grid of U.
 
@@ -264,6 +269,7 @@ def place(
     - `positions` (n,): how many, spread evenly over each exposure, an odd number; 1 takes its middle. `finest` if not
       given.
     - `finest`: the largest of these.
+    - `on_sensor`: whether the grid of U is the sensor's, for a path along which nothing moves.
 
     A sample that leaves the picture at any time of its exposure is dropped; what is left of it inside is for the
     caller to cut out (`scsr_opt.placing.measured`). Counting such samples for the part of them inside, as they are,
@@ -273,6 +279,7 @@ def place(
     """
     if finest % 2 == 0:
         raise InputError(f"finest is {finest}, but exposures have an odd number of positions: 1, 3, 5, ….")
+    grid, shape = (1, (shape[0] // scale, shape[1] // scale)) if on_sensor else (scale, shape)
     height, width = shape
     start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))
     rows, columns = jnp.asarray(samples.row), jnp.asarray(samples.column)
@@ -283,13 +290,13 @@ def place(
 
     def layer(weight: Float[Array, " n"], number: Int[Array, ""]):
         down, right, seen = path.at(rows, columns, moments(start, stop, wanted, number), tables)
-        down, right = down * scale, right * scale
+        down, right = down * grid, right * grid
         # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
         inside = (down >= -1e-3) & (right >= -1e-3)
-        inside &= (down <= height - scale + 1e-3) & (right <= width - scale + 1e-3)
+        inside &= (down <= height - grid + 1e-3) & (right <= width - grid + 1e-3)
         # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
-        down = jnp.clip(jnp.where(inside, down, 0), 0, height - scale)
-        right = jnp.clip(jnp.where(inside, right, 0), 0, width - scale)
+        down = jnp.clip(jnp.where(inside, down, 0), 0, height - grid)
+        right = jnp.clip(jnp.where(inside, right, 0), 0, width - grid)
         top, left = down.astype(jnp.int32), right.astype(jnp.int32)
         # A sample counts as far as it can be used at each of its positions.
         least = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
@@ -297,7 +304,7 @@ def place(
         return jnp.where(number < wanted, least, weight), taps
 
     weight, taps = jax.lax.scan(layer, full, jnp.arange(finest, dtype=jnp.int32))
-    return PlacedSamples(taps, wanted, value, weight, scale, shape)
+    return PlacedSamples(taps, wanted, value, weight, scale, shape, on_sensor)
 
 
 @eqx.filter_jit
@@ -336,7 +343,8 @@ def accumulate(
         stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
         target=target.reshape(height, width),
         energy=jnp.sum(weight * placed.value**2),
-        aperture=Aperture(placed.shape, placed.scale),
+        aperture=Downsample((height * placed.scale, width * placed.scale), placed.scale) if placed.on_sensor
+        else Aperture(placed.shape, placed.scale),
         optics=optics,
     )
 

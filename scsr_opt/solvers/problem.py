@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.operators.checks import norm_bound
+from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.sampling import DataTerm
 from scsr_opt.priors.prior import Prior
 
@@ -31,7 +32,11 @@ def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
     """
     if data.bound is not None:
         return data.bound
-    bound = norm_bound(data.normal, data.shape, iterations=4, symmetric=True, dtype=data.target.dtype)
+    if isinstance(data.aperture, Downsample) and data.optics is None:
+        # D D* is the identity over s², and the largest sum of a row of M bounds ‖M‖.
+        bound = jnp.max(data.stencil(jnp.ones_like(data.target))) / data.aperture.scale**2
+    else:
+        bound = norm_bound(data.normal, data.shape, iterations=4, symmetric=True, dtype=data.target.dtype)
     # Where no sample counts, f is constant, and every number is a bound. Of a tiny one the step would be 1e38 long.
     return jnp.where(bound < jnp.finfo(data.target.dtype).tiny, 1, bound)
 

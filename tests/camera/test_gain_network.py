@@ -98,15 +98,18 @@ def test_windows_of_a_large_sensor_tell_that_there_is_no_pattern(spread, monkeyp
     """All of it is looked at only where they do not."""
     picture = np.pad(data.camera() / 255, ((0, 48), (0, 48)), mode="symmetric")[::2, ::2]
     made = simulate(Static(picture), scale=1, frames=61, sensor=Sensor(fixed_pattern=spread), seed=3)
-    looked_at, looks = [], gain_network._found
+    looked_at, looks = [], gain_network._logarithm
 
-    def counted(network, rate, noise):
+    def counted(network, rate, noise, bad):
         looked_at.append(rate.shape)
-        return looks(network, rate, noise)
+        return looks(network, rate, noise, bad)
 
-    monkeypatch.setattr(gain_network, "_found", counted)
+    monkeypatch.setattr(gain_network, "_logarithm", counted)
     found = gain_at_rest(made.spikes, white_rate=0.6)
-    assert looked_at == [(56, 56)] * 6 + [picture.shape] * bool(spread)
+    assert looked_at == [(6, 56, 56)] + [picture.shape] * bool(spread)
+    everywhere = gain_at_rest(made.spikes, white_rate=0.6, skip=False)
+    assert looked_at.pop() == picture.shape
+    np.testing.assert_array_equal(everywhere, found)
     if not spread:
         assert (found == 1).all()
     else:

@@ -188,7 +188,7 @@ def measured(
     path = motion if followed else trajectory_of(motion, key=stream.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
     fastest = path.fastest
-    still_for = np.ones((height, width), np.int32)
+    still_for, run = np.ones((height, width), np.int32), 1
     if merge and isinstance(measuring, Intervals):
         with np.errstate(divide="ignore", over="ignore"):
             still = _MERGED_MOTION / (scale * fastest)
@@ -198,9 +198,11 @@ def measured(
         possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, most).astype(np.int32)
         worthwhile = longest is not None or np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE
         still_for = possible if worthwhile else still_for
+        # No farther than an exposure's positions lie close enough together.
+        with np.errstate(divide="ignore"):
+            run = np.clip(_POSITIONS[0] * _SPACING / fastest, 1, RUN).astype(np.int32)
     samples = measuring(
-        stream.spikes, white_rate=stream.white_rate, still_for=still_for, run=RUN if merge else 1,
-        bad_pixels=stream.bad_pixels,
+        stream.spikes, white_rate=stream.white_rate, still_for=still_for, run=run, bad_pixels=stream.bad_pixels
     )  # fmt: skip
     light = samples.weight
     if isinstance(measuring, Intervals) and measuring.ends > 0:
@@ -209,7 +211,7 @@ def measured(
     if isinstance(measuring, Intervals) and measuring.noise is not None:
         weight = measuring.noise.weights(samples, _mean_light(stream))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
-    order, positions = _longest_first(samples, path)
+    order, positions = _longest_first(samples, path, each=merge)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
@@ -231,8 +233,11 @@ def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
     return gaussian_filter(rate, _NEIGHBOURS) / np.maximum(gaussian_filter(good, _NEIGHBOURS), 1e-3)
 
 
-def _longest_first(samples: Samples, path: Trajectory) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """The samples' numbers, and how many positions each gets along its exposure, those with most first."""
+def _longest_first(
+    samples: Samples, path: Trajectory, *, each: bool
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """The samples' numbers, and how many positions each gets along its exposure, those with most first: `each` as many
+    as it needs, or all as many as any of them does."""
     with np.errstate(over="ignore", invalid="ignore"):
         speed = path.fastest_during(samples.row, samples.column, samples.start, samples.stop)
         moved = speed * (samples.stop - samples.start)
@@ -241,6 +246,8 @@ def _longest_first(samples: Samples, path: Trajectory) -> tuple[Int[np.ndarray, 
         level += k * _SPACING <= moved
     if level.max(initial=0) == 1 and samples.weight[level == 1].sum() <= _FEW_LONG * samples.weight.sum():
         level = np.zeros_like(level)
+    if not each:
+        level = np.full_like(level, level.max(initial=0))
     # In this order what has no second position can be passed over in pieces.
     members = [np.flatnonzero(level == which) for which in reversed(range(len(_POSITIONS)))]
     order = np.concatenate(members)

@@ -35,7 +35,14 @@ from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
-from scsr_opt.strength import Validated, noise_of_mean, relative_strength, strength_of_noise, validated_strength
+from scsr_opt.strength import (
+    Validated,
+    noise_of_mean,
+    relative_strength,
+    side_of_parts,
+    strength_of_noise,
+    validated_strength,
+)
 
 # Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
 # short enough for motion to be smooth.
@@ -164,9 +171,14 @@ def reconstruct(
         gains = np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     measuring = Intervals() if samples is None else samples
+    # Outliers that were held out would decide.
+    validate = strength is None and robust is None
+    # Where the strength is validated on all of the samples, these have to be in pieces: nothing would be saved.
+    one_part = max(stream.spikes.shape[1:]) <= side_of_parts(stream, scale, lens)
+    longest = 1 if validate and one_part and motion.speed.any() else None
     taken = measured(
         stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip,
-        on_sensor=skip and not rounds_of_motion,
+        longest=longest, on_sensor=skip and not rounds_of_motion,
     )  # fmt: skip
     used = int(jnp.count_nonzero(taken.placed.weight))
     if used == 0 or not stream.spikes.any():
@@ -190,7 +202,6 @@ def reconstruct(
     if lens is not optics:
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
-    validate = strength is None and robust is None  # outliers that were held out would decide
 
     def validated(taken: Measurements) -> Validated:
         return validated_strength(

@@ -175,13 +175,12 @@ def validated_strength(
     **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
     use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`. `noise`: what
-    `noise_of_mean` finds, if that is known. `skip`: whether the intervals of a stretch that is held out, or is not, are
-    merged where nothing moves.
+    `noise_of_mean` finds, if that is known. `skip`: as of `reconstruct`.
 
     **Raises:** as `relative_strength`.
     """
     least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
-    side = max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
+    side = side_of_parts(stream, scale, optics)
     good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
     moved = motion.moved(len(stream.spikes))
 
@@ -189,7 +188,7 @@ def validated_strength(
         pieces, seen = taken, stream.part(*area)
         stretch = _stretch(seen)
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
-            # What is held out has to be in pieces.
+            # Only runs are merged, as what is held out has to be in pieces.
             pieces = measured(
                 seen,
                 taken.path.part(*area),
@@ -197,7 +196,7 @@ def validated_strength(
                 measuring=measuring,
                 gain=None if gain is None else gain[area],
                 merge=skip,
-                longest=stretch,
+                longest=1,
                 on_sensor=skip,
             )
         return _split(pieces, moved[area], stretch, optics, image[_scaled(area, scale)])
@@ -286,6 +285,11 @@ def _split(
         return None
     rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
     return _Part(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), first)
+
+
+def side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:
+    """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
+    return max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
 
 
 def _stretch(stream: Stream) -> int:

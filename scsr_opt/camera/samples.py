@@ -35,6 +35,9 @@ ENDS = 0.1
 RUN = 4
 """Intervals of one frame that follow one another are merged up to so many frames."""
 
+# From so many samples on, working through what only pads them costs more than compiling for another length.
+_MANY = 1 << 20
+
 # Pixels whose intervals are found at once: what that takes stays in the cache, and several are worked on side by side.
 _BAND = 16_384
 
@@ -71,10 +74,10 @@ class Samples(eqx.Module):
         """The same samples, padded with weight 0 to one of few lengths.
 
         Code that was compiled for one number of samples then serves for others. Lengths are 2^e and 3·2^e, at least
-        1024: up to half as many are added.
+        1024: up to half as many are added; from a million on also 5·2^e and 7·2^e.
         """
         n = self.row.size
-        step = 1 << max(0, n.bit_length() - 2)
+        step = 1 << max(0, n.bit_length() - (2 if n < _MANY else 3))
         extra = max(-n % step, 1024 - n)
 
         def pad(values: Shaped[np.ndarray | Array, " n"]) -> Shaped[np.ndarray, " m"]:
@@ -90,7 +93,7 @@ def spike_intervals(
     *,
     white_rate: float = 0.6,
     shortest: int | Int[np.ndarray, "h w"] = 1,
-    run: int = RUN,
+    run: int | Int[np.ndarray, "h w"] = RUN,
     first_frame: int = 0,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ends: float | int = ENDS,
@@ -106,7 +109,8 @@ def spike_intervals(
     - `spikes`: (T, h, w), 0 or 1.
     - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
     - `shortest`: frames, at least 1; one number or one per pixel. Pixels with T or more come after the others.
-    - `run`: frames, at least 1, over which intervals of one frame are merged; 1 leaves each a sample of its own.
+    - `run`: frames, at least 1, over which intervals of one frame are merged, one number or one per pixel; 1 leaves
+      each a sample of its own.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
     - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
@@ -120,7 +124,7 @@ def spike_intervals(
     frames, height, width = spikes.shape
     good = np.ones(height * width, bool) if bad_pixels is None else ~bad_pixels.reshape(-1)
     times = SpikeTimes.of(np.asarray(spikes).reshape(frames, -1))
-    merged = np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)
+    merged, runs = (np.broadcast_to(np.asarray(of), (height, width)).reshape(-1) for of in (shortest, run))
     # Of pixels that are still all the time, only the first and the last spike and their number count.
     still = merged >= frames
     others = np.flatnonzero(good & ~still)
@@ -138,7 +142,7 @@ def spike_intervals(
         )
 
     bands = np.array_split(others, max(1, others.size // _BAND))
-    parts = in_threads(lambda pixels: made(_between(spikes, pixels, merged, run)), bands)
+    parts = in_threads(lambda pixels: made(_between(spikes, pixels, merged, runs)), bands)
     parts.append(made(_throughout(times, np.flatnonzero(good & still))))
     if ends > 0:
         parts.append(made(_ends(times, frames, good), ends))
@@ -146,7 +150,10 @@ def spike_intervals(
 
 
 def _between(
-    spikes: Shaped[np.ndarray, "T h w"], pixels: Int[np.ndarray, " pixels"], shortest: Int[np.ndarray, " hw"], run: int
+    spikes: Shaped[np.ndarray, "T h w"],
+    pixels: Int[np.ndarray, " pixels"],
+    shortest: Int[np.ndarray, " hw"],
+    runs: Int[np.ndarray, " hw"],
 ) -> tuple[np.ndarray, ...]:
     """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
     frames = spikes.shape[0]
@@ -157,7 +164,8 @@ def _between(
     # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
     every_frame = np.zeros(where.size + 1, bool)
     every_frame[1:-1] = (time[1:] - time[:-1] == 1) & (pixel[1:] == pixel[:-1])
-    within = every_frame[1:] & every_frame[:-1] & (time % run != 0)
+    within = every_frame[1:] & every_frame[:-1]
+    within[within] = time[within] % runs[pixels[pixel[within]]] != 0
     pixel, time, order = pixel[~within], time[~within], order[~within]
     if np.any(shortest[pixels] > 1):
         number = time.size

@@ -9,6 +9,7 @@ from scipy import ndimage
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
+from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.alignment import Stretches, smooth, stretches
 from scsr_opt.motion.carry import carry
 from scsr_opt.motion.dense import accelerated, dense
@@ -184,7 +185,8 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     if predicts(curved).mean < _PREDICTS * by_pixel.mean:
         everywhere = accelerated(part, curved, start=before, turns=2)
         by_pixel = predicts(everywhere)
-    candidates = [(motion, predicts(motion)) for motion in layered(part, before, everywhere, unexplained[used], total)]
+    found = layered(part, before, everywhere, unexplained[used], total, skip=skip)
+    candidates = list(zip(found, in_threads(predicts, found), strict=True))
     layers = [(one.layers, one, miss) for one, miss in candidates if one.layers is not None]
     serving = [(one, miss) for of, one, miss in layers if _serve(of.label[judged], miss, by_pixel, total)]
     # Where no layers were found, the background is all that is left of them.

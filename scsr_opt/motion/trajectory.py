@@ -298,15 +298,18 @@ def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 
     nearest = np.argsort(-layers.depth, kind="stable")
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
     member = (layers.label == nearest[:, None, None]).astype(np.float32)
-    alike = np.array([_alike(v, a) for v, a in zip(velocity, acceleration, strict=True)])
-    return _seen(velocity, acceleration if acceleration.any() else None, alike, member, after)
+    longest = float(jnp.max(jnp.abs(after)))
+    affine = [_affine(v, a, longest) for v, a in zip(velocity, acceleration, strict=True)]
+    plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
+    return _seen(velocity, acceleration if acceleration.any() else None, plain, numbers, member, after)
 
 
 @jax.jit
 def _seen(
     velocity: Float[Array, "layers 2 h w"],
     acceleration: Float[Array, "layers 2 h w"] | None,
-    alike: Bool[Array, " layers"],
+    affine: Bool[Array, " layers"],
+    numbers: Float[Array, "layers 2 2 3"],
     member: Float[Array, "layers h w"],
     after: Float[Array, " n"],
 ) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
@@ -316,7 +319,8 @@ def _seen(
         position = jnp.zeros(velocity.shape[1:], velocity.dtype)
         part = jnp.full(velocity.shape[2:], -1, velocity.dtype)
         for k in range(len(velocity)):
-            here = _inverse(velocity[k], None if acceleration is None else acceleration[k], alike[k], tau)
+            faster = None if acceleration is None else acceleration[k]
+            here = _inverse(velocity[k], faster, affine[k], numbers[k], tau)
             belongs = bilinear(member[k][None], here[0], here[1])[0]
             # Where no layer is certain, the one that is most so far counts.
             better = (part <= _PART) & (belongs > part)
@@ -364,39 +368,57 @@ def inverse(
     acceleration: Float[Array | np.ndarray, "2 h w"],
     after: Float[Array, " n"],
 ) -> Float[Array, "n 2 h w"]:
-    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`: at once where all move alike, else by
+    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`: at once where the motion is affine, else by
     fixed-point iteration from q = p.
 
     The error shrinks by ‖∇d‖ each time, which is the relative change of displacement from pixel to pixel: well under ½
     but for motion boundaries, where the inverse is not unique anyway. It ends when nothing moves by `_STILL` any more,
     or after `_REFINEMENTS`.
     """
-    alike = jnp.asarray(_alike(np.asarray(velocity), np.asarray(acceleration)))
+    velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
+    affine, numbers = _affine(velocity, acceleration, float(jnp.max(jnp.abs(after))))
     # Looking up takes most of the time, and a field of zeros need not be.
-    return _inverses(velocity, acceleration if np.any(acceleration) else None, alike, after)
+    return _inverses(velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after)
 
 
-def _alike(velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"]) -> bool:
-    return all(np.ptp(field, axis=(1, 2)).max() == 0 for field in (velocity, acceleration))
+def _affine(
+    velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"], longest: float
+) -> tuple[bool, Float[np.ndarray, "2 2 3"]]:
+    """Whether a motion is affine, but for what moves nothing by `_STILL` in so many frames, and the numbers of velocity
+    and acceleration, down and right: at pixel (0, 0), and their change from row to row and from column to column."""
+    height, width = velocity.shape[1:]
+    numbers = np.zeros((2, 2, 3), np.float32)
+    rows, columns = (np.arange(n, dtype=np.float32) for n in (height, width))
+    off = 0.0
+    for of, field, lever in zip(numbers, (velocity, acceleration), (longest, longest**2 / 2), strict=True):
+        of[:, 0] = field[:, 0, 0]
+        of[:, 1] = (field[:, -1, 0] - field[:, 0, 0]) / max(height - 1, 1)
+        of[:, 2] = (field[:, 0, -1] - field[:, 0, 0]) / max(width - 1, 1)
+        if field.any():
+            for (begin, down, right), part in zip(of, field, strict=True):
+                off += lever * float(np.abs(part - (begin + down * rows[:, None] + right * columns)).max())
+    return off <= _STILL, numbers
 
 
 @jax.jit
 def _inverses(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,
-    alike: Bool[Array, ""],
+    affine: Bool[Array, ""],
+    numbers: Float[Array, "2 2 3"],
     after: Float[Array, " n"],
 ) -> Float[Array, "n 2 h w"]:
-    return jax.lax.map(lambda tau: _inverse(velocity, acceleration, alike, tau), after)
+    return jax.lax.map(lambda tau: _inverse(velocity, acceleration, affine, numbers, tau), after)
 
 
 def _inverse(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,
-    alike: Bool[Array, ""],
+    affine: Bool[Array, ""],
+    numbers: Float[Array, "2 2 3"],
     tau: Float[Array, ""],
 ) -> Float[Array, "2 h w"]:
-    """`inverse` for one moment; `acceleration` None for one of zero, `alike` true where all pixels move alike."""
+    """`inverse` for one moment; `acceleration` None for one of zero; `affine` and `numbers` as `_affine` finds them."""
     here = jnp.indices(velocity.shape[1:], velocity.dtype)
     field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])
 
@@ -412,8 +434,16 @@ def _inverse(
     def go_on(carry: tuple[Array, Array, Array]) -> Array:
         return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
 
+    def solved() -> Float[Array, "2 h w"]:
+        # q + d + D q = p, d and D those of the moment.
+        of = numbers[0] * tau + numbers[1] * (0.5 * tau**2)
+        (a, b), (c, d) = jnp.eye(2, dtype=of.dtype) + of[:, 1:]
+        down, right = here[0] - of[0, 0], here[1] - of[1, 0]
+        determinant = a * d - b * c
+        return jnp.stack([(d * down - b * right) / determinant, (a * right - c * down) / determinant])
+
     begin = here, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
-    return jax.lax.cond(alike, lambda: displaced(field), lambda: jax.lax.while_loop(go_on, refine, begin)[0])
+    return jax.lax.cond(affine, solved, lambda: jax.lax.while_loop(go_on, refine, begin)[0])
 
 
 def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:

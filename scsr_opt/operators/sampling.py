@@ -210,7 +210,7 @@ class PlacedSamples(eqx.Module):
         return jnp.arange(self.finest, dtype=jnp.int32)
 
 
-def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, " n"]:
+def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, "*n"]:
     """u at the taps, bilinearly."""
     flat, width = u.reshape(-1), u.shape[1]
     corners = [flat[taps.index + offset] for offset in (0, 1, width, width + 1)]
@@ -239,14 +239,14 @@ def moments(
 
 
 def _in_pieces(tree: Any) -> Any:
-    """Arrays (n,) as (n / m, m), m the largest power of two up to `_PIECE` that divides n; in one piece if that is
-    small."""
+    """Arrays (n,) as (n / m, m)."""
+    return jax.tree.map(lambda values: values.reshape(-1, _piece_of(values.size)), tree)
 
-    def cut(values: Array) -> Array:
-        most = math.gcd(values.size, _PIECE)
-        return values.reshape(-1, most if most >= _LEAST_PIECE else max(values.size, 1))
 
-    return jax.tree.map(cut, tree)
+def _piece_of(samples: int) -> int:
+    """m, the largest power of two up to `_PIECE` that divides n; all in one piece if that is small."""
+    most = math.gcd(samples, _PIECE)
+    return most if most >= _LEAST_PIECE else max(samples, 1)
 
 
 @eqx.filter_jit
@@ -288,7 +288,8 @@ def place(
 
     tables = path.tables
 
-    def layer(weight: Float[Array, " n"], number: Int[Array, ""]):
+    def piece(at: tuple[Array, ...], number: Int[Array, ""]) -> tuple[Array, Taps]:
+        rows, columns, start, stop, wanted, full, weight = at
         down, right, seen = path.at(rows, columns, moments(start, stop, wanted, number), tables)
         down, right = down * grid, right * grid
         # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
@@ -302,6 +303,15 @@ def place(
         least = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
         taps = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
         return jnp.where(number < wanted, least, weight), taps
+
+    def layer(weight: Float[Array, " n"], number: Int[Array, ""]):
+        def some(at: tuple[Array, ...]) -> tuple[Array, Taps]:
+            nothing = jnp.zeros_like(at[3])
+            skipped = at[6], Taps(jnp.zeros_like(at[0]), nothing, nothing)
+            return jax.lax.cond(jnp.any(number < at[4]), lambda: piece(at, number), lambda: skipped)
+
+        parts = _in_pieces((rows, columns, start, stop, wanted, full, weight))
+        return jax.tree.map(lambda each: each.reshape(-1), jax.lax.map(some, parts))
 
     weight, taps = jax.lax.scan(layer, full, jnp.arange(finest, dtype=jnp.int32))
     return PlacedSamples(taps, wanted, value, weight, scale, shape, on_sensor)
@@ -363,12 +373,29 @@ def with_exposure(
     weight = placed.weight if robust is None else placed.weight * robust
     weight = jnp.where(placed.positions > 1, weight, 0)
     u = term.blurred(image)
-    mean = placed.read(u)
+    size = _piece_of(weight.size)
 
-    def layer(total: Float[Array, " pixels"], at: tuple[Array, Taps]):
-        number, taps = at
-        return _in_turn(placed.add, total, taps, placed.share(number, weight * (_read(u, taps) - mean))), None
+    def piece(total: Float[Array, " pixels"], begin: Int[Array, ""]):
+        part = jax.lax.dynamic_slice_in_dim(weight, begin, size)
 
-    total = jax.lax.scan(layer, jnp.zeros_like(u.reshape(-1)), (placed.numbers, placed.taps))[0]
+        # What was read of a piece is still in the cache when it is spread: 0.6 of the time of reading all first.
+        def visit(total: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
+            positions = jax.lax.dynamic_slice_in_dim(placed.positions, begin, size)
+            taps = jax.tree.map(lambda field: jax.lax.dynamic_slice_in_dim(field, begin, size, axis=1), placed.taps)
+            each = 1 / jnp.maximum(positions, 1).astype(u.dtype)
+            share = jnp.where(placed.numbers[:, None] < positions[None], each[None], 0)
+            seen = _read(u, taps)
+            amount = share * part[None] * (seen - (share * seen).sum(0)[None])
+
+            def layer(total: Float[Array, " pixels"], at: tuple[Taps, Array]):
+                taps, amount = at
+                return jax.lax.cond(jnp.any(amount != 0), lambda t: placed.add(t, taps, amount), lambda t: t, total), None
+
+            return jax.lax.scan(layer, total, (taps, amount))[0]
+
+        return jax.lax.cond(jnp.any(part != 0), visit, lambda t: t, total), None
+
+    begins = jnp.arange(0, weight.size, size, dtype=jnp.int32)
+    total = jax.lax.scan(piece, jnp.zeros_like(u.reshape(-1)), begins)[0]
     excess = total.reshape(u.shape)
     return eqx.tree_at(lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess)))

@@ -46,6 +46,10 @@ class Layers(eqx.Module):
 
         def continued(fields: np.ndarray, around: np.ndarray) -> np.ndarray:
             wide = np.pad(fields, ((0, 0), (0, 0), *beyond), mode="edge")
+            for one, field in zip(wide, fields, strict=True):
+                off, numbers = _from_affine(field)
+                if off <= _ROUNDING * np.abs(field).max():  # which is worth keeping: see `inverse`
+                    one[:] = _affine_field(numbers, height, width, sides[0][0], sides[1][0])
             return np.concatenate([wide[:ground], around[None], wide[ground + 1 :]])
 
         label = np.full((height, width), ground, np.int32)
@@ -385,19 +389,34 @@ def _affine(
     velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"], longest: float
 ) -> tuple[bool, Float[np.ndarray, "2 2 3"]]:
     """Whether a motion is affine, but for what moves nothing by `_STILL` in so many frames, and the numbers of velocity
-    and acceleration, down and right: at pixel (0, 0), and their change from row to row and from column to column."""
-    height, width = velocity.shape[1:]
-    numbers = np.zeros((2, 2, 3), np.float32)
-    rows, columns = (np.arange(n, dtype=np.float32) for n in (height, width))
-    off = 0.0
-    for of, field, lever in zip(numbers, (velocity, acceleration), (longest, longest**2 / 2), strict=True):
-        of[:, 0] = field[:, 0, 0]
-        of[:, 1] = (field[:, -1, 0] - field[:, 0, 0]) / max(height - 1, 1)
-        of[:, 2] = (field[:, 0, -1] - field[:, 0, 0]) / max(width - 1, 1)
-        if field.any():
-            for (begin, down, right), part in zip(of, field, strict=True):
-                off += lever * float(np.abs(part - (begin + down * rows[:, None] + right * columns)).max())
-    return off <= _STILL, numbers
+    and acceleration."""
+    (off, numbers), (more, others) = _from_affine(velocity), _from_affine(acceleration)
+    return off * longest + more * longest**2 / 2 <= _STILL, np.stack([numbers, others])
+
+
+# By how much an affine field may be off by rounding, of its largest value.
+_ROUNDING = 1e-5
+
+
+def _from_affine(field: Float[np.ndarray, "2 h w"]) -> tuple[float, Float[np.ndarray, "2 3"]]:
+    """How far a field is from the affine one through three of its corners, and that one's numbers, down and right: at
+    pixel (0, 0), and their change from row to row and from column to column."""
+    height, width = field.shape[1:]
+    corner = field[:, 0, 0]
+    down, right = (field[:, -1, 0] - corner) / max(height - 1, 1), (field[:, 0, -1] - corner) / max(width - 1, 1)
+    numbers = np.stack([corner, down, right], axis=1).astype(np.float32)
+    if not field.any():
+        return 0.0, numbers
+    return float(np.abs(field - _affine_field(numbers, height, width)).max()), numbers
+
+
+def _affine_field(
+    numbers: Float[np.ndarray, "2 3"], height: int, width: int, top: int = 0, left: int = 0
+) -> Float[np.ndarray, "2 h w"]:
+    """The affine field with these numbers, whose pixel (0, 0) lies at (`top`, `left`) of the picture."""
+    rows = np.arange(height, dtype=np.float32)[:, None] - np.float32(top)
+    columns = np.arange(width, dtype=np.float32) - np.float32(left)
+    return np.stack([begin + down * rows + right * columns for begin, down, right in numbers])
 
 
 @jax.jit

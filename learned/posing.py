@@ -30,7 +30,7 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.reconstruction import FRAMES
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
-from scsr_opt.strength import validated_strength
+from scsr_opt.strength import longest_merged, validated_strength
 
 PRIOR = HuberTotalVariation()
 """Ψ of the problem that all models are measured by, whatever they were given or have learned."""
@@ -151,7 +151,8 @@ def pose(
         stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gains
     )
     measuring = Intervals()
-    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains)
+    longest = longest_merged(stream, motion, scale)
+    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains, longest=longest, on_sensor=True)
     placed, first = taken.placed, first_picture(stream, moment.shape)
     if strength is not None:
         λ = prior_strength(strength)

@@ -37,9 +37,9 @@ from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
 from scsr_opt.strength import (
     Validated,
+    longest_merged,
     noise_of_mean,
     relative_strength,
-    side_of_parts,
     strength_of_noise,
     validated_strength,
 )
@@ -165,21 +165,26 @@ def reconstruct(
     known = gain_is_known(motion.moved(len(stream.spikes)))
     resting = None
     if blind and not known.all():
-        resting = gain_at_rest(
-            stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip
-        )
+        resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
         gains = np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     measuring = Intervals() if samples is None else samples
     # Outliers that were held out would decide.
     validate = strength is None and robust is None
-    # Where the strength is validated on all of the samples, these have to be in pieces: nothing would be saved.
-    one_part = max(stream.spikes.shape[1:]) <= side_of_parts(stream, scale, lens)
-    longest = 1 if validate and one_part and motion.speed.any() else None
-    taken = measured(
-        stream, motion, scale=scale, measuring=measuring, gain=gains, merge=skip,
-        longest=longest, on_sensor=skip and not rounds_of_motion,
-    )  # fmt: skip
+
+    def measured_along(motion: Motion, gain: Float[np.ndarray, "h w"] | None) -> Measurements:
+        return measured(
+            stream,
+            motion,
+            scale=scale,
+            measuring=measuring,
+            gain=gain,
+            merge=skip,
+            longest=longest_merged(stream, motion, scale, lens),
+            on_sensor=skip and not rounds_of_motion,
+        )
+
+    taken = measured_along(motion, gains)
     used = int(jnp.count_nonzero(taken.placed.weight))
     if used == 0 or not stream.spikes.any():
         stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
@@ -241,7 +246,7 @@ def reconstruct(
         learned["gain_spread"] = spread_of(gains, known)
         if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
             motion = estimated(velocity, gains)
-            measured_as = measured(stream, motion, scale=scale, measuring=measuring, merge=skip)
+            measured_as = measured_along(motion, None)
             plan = _plan(stream, motion, measured_as, noise, measuring) if skip else None
             known = gain_is_known(motion.moved(len(stream.spikes)))
             gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=resting)
@@ -255,7 +260,7 @@ def reconstruct(
             break
         better = refined(motion, found.blurred, taken.padded, taken.placed, key=stream.key)
         motion = replace(better, trust=motion.trust)  # no more than what it was refined from
-        taken = measured(stream, motion, scale=scale, measuring=measuring, gain=None if blind else gains, merge=skip)
+        taken = measured_along(motion, None if blind else gains)
         if blind and gains is not None:
             taken = taken.with_gain(gains, known, noise)
         found = rounds(taken.placed, image, found.outcome.state)

@@ -34,7 +34,7 @@ class Found(NamedTuple):
     """What the rounds end with: the last solve's outcome, with the stages of all, and B X of its picture."""
 
     outcome: Outcome
-    blurred: Float[Array, "H W"]
+    blurred: Float[Array, "rows columns"]
 
 
 @dataclass(frozen=True)
@@ -129,5 +129,5 @@ def _layout(state: Any) -> tuple[Any, list[Any]]:
 
 
 @eqx.filter_jit
-def _blurred(term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+def _blurred(term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
     return term.blurred(image)

@@ -19,7 +19,6 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
-from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
@@ -180,17 +179,16 @@ def validated_strength(
     **Raises:** as `relative_strength`.
     """
     least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
-    side = side_of_parts(stream, scale, optics)
+    side = _side_of_parts(stream, scale, optics)
     good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
     moved = motion.moved(len(stream.spikes))
 
     def made(area: tuple[slice, slice]) -> _Part | None:
-        pieces, seen = taken, stream.part(*area)
-        stretch = _stretch(seen)
+        pieces = taken
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
             # Only runs are merged, as what is held out has to be in pieces.
             pieces = measured(
-                seen,
+                stream.part(*area),
                 taken.path.part(*area),
                 scale=scale,
                 measuring=measuring,
@@ -199,7 +197,7 @@ def validated_strength(
                 longest=1,
                 on_sensor=skip,
             )
-        return _split(pieces, moved[area], stretch, optics, image[_scaled(area, scale)])
+        return _split(pieces, moved[area], optics, image[_scaled(area, scale)])
 
     areas = _chosen(image, scale, side, good)
     found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
@@ -275,41 +273,42 @@ def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
 def _split(
     taken: Measurements,
     moved: Float[np.ndarray, "h w"],
-    stretch: int,
     optics: LinearOperator | None,
     first: Float[Array, "H W"],
 ) -> _Part | None:
     """The samples, a fifth of them held out; None if there are too few to do so."""
-    held, weight = _held_out(taken.padded, moved, stretch), np.asarray(taken.placed.weight)
+    held, weight = _held_out(taken.padded, moved), np.asarray(taken.placed.weight)
     if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
         return None
     rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
     return _Part(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), first)
 
 
-def side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:
+def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
+    """Frames over which intervals may be merged so that the same samples serve the picture and the validation: 1 where
+    something moves and the whole picture is one part, as what is held out has to be in pieces; None for any."""
+    one_part = max(stream.spikes.shape[1:]) <= _side_of_parts(stream, scale, optics)
+    return 1 if one_part and motion.speed.any() else None
+
+
+def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:
     """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
     return max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
 
 
-def _stretch(stream: Stream) -> int:
-    """Frames of a stretch that is held out: two intervals, as they last on the average over time."""
-    count = spike_counts(stream.spikes)
-    lasting = len(stream.spikes) / np.maximum(count if stream.bad_pixels is None else count[~stream.bad_pixels], 1)
-    return max(_STRETCH, round(2 * float(lasting.mean()))) if lasting.size else _STRETCH
-
-
-def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"], stretch: int) -> Bool[np.ndarray, " n"]:
-    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `stretch`, frames."""
+def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
+    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel."""
     rows, columns = np.indices(moved.shape)
     pixel = np.asarray(samples.row) * moved.shape[1] + np.asarray(samples.column)
     whole = (moved >= _MOVED).reshape(-1)
     # A knight's move apart: no two neighbours.
     held = whole[pixel] & ((2 * rows + columns) % _SHARE == 0).reshape(-1)[pixel]
     if not whole.all():
-        which = np.asarray((samples.start + samples.stop) / 2 // stretch).astype(np.int32)
+        duration = np.asarray(samples.stop - samples.start)
+        typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
+        stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
         # From pixel to pixel another stretch, so that no time is missing.
-        by_time = (which + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0
+        by_time = (stretch.astype(np.int32) + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0
         held = np.where(whole[pixel], held, by_time)
     return np.asarray(held)
 

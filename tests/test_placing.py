@@ -93,7 +93,8 @@ def test_few_exposures_that_are_a_little_long_do_not_put_all_through_corrections
     position = np.zeros((2, 2, 100, 200), np.float32)
     position[1, 1, 7, 40 : 40 + pixels] = SPACING * moved
     path = Trajectory(jnp.float32(0), jnp.asarray(position), jnp.ones((2, 100, 200)))
-    order, found = _longest_first(samples, path)
+    order, found = _longest_first(samples, path, each=True)
     assert set(found.tolist()) == positions
+    assert set(_longest_first(samples, path, each=False)[1].tolist()) == {max(positions)}
     if len(positions) > 1:
         assert (row[order[:pixels]] == 7).all() and (found[:pixels] > 1).all()

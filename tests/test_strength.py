@@ -218,18 +218,18 @@ def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
     ],
 )
 def test_of_a_small_even_picture_one_part_serves_in_the_middle(shape, side, found):
-    parts = _chosen(np.ones((2 * shape[0], 2 * shape[1]), np.float32), 2, side, np.ones(shape, bool))
+    parts = _chosen(jnp.ones((2 * shape[0], 2 * shape[1])), 2, side, np.ones(shape, bool))
     assert parts == [found]
 
 
 def test_a_plain_a_middling_and_a_rich_part_are_chosen():
     contrast = np.repeat([0.1, 0.4, 1.0], 40).astype(np.float32)
-    image = contrast * np.random.default_rng(0).random((120, 120), np.float32)
+    image = jnp.asarray(contrast * np.random.default_rng(0).random((120, 120), np.float32))
     assert [columns.start for _, columns in _chosen(image, 1, 40, np.ones((120, 120), bool))] == [0, 40, 80]
 
 
 def test_bad_pixels_are_not_looked_at():
-    image = np.random.default_rng(0).random((120, 120), np.float32)
+    image = jnp.asarray(np.random.default_rng(0).random((120, 120), np.float32))
     good = np.ones((120, 120), bool)
     good[:, 60:] = False
     assert all(columns.start < 60 for _, columns in _chosen(image, 1, 40, good))

@@ -7,6 +7,7 @@ from jaxtyping import Float, Shaped
 
 from scsr_opt.camera.spike_times import SpikeTimes, second_spikes
 
+
 def interval_rates(
     spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"], *, white_rate: float | int = 0.6
 ) -> Float[np.ndarray, "n h w"]:
@@ -33,7 +34,10 @@ def interval_rates(
     unknown = np.flatnonzero(count < 2)
     mean = count[unknown] / np.float32(frames)
     # Before a first and after a last spike: no faster than the missing one allows.
-    opening, closing = np.flatnonzero((first > min(at)) & (count >= 2)), np.flatnonzero((last <= max(at)) & (count >= 2))
+    opening, closing = (
+        np.flatnonzero((first > min(at)) & (count >= 2)),
+        np.flatnonzero((last <= max(at)) & (count >= 2)),
+    )
     begin, begin_again = first[opening].astype(np.float32), second_spikes(np.take(fired, opening, 1))
     early = np.minimum(1 / (begin_again - begin), 1 / np.maximum(begin, 1))
     end, end_before = last[closing].astype(np.float32), frames - 1 - second_spikes(np.take(fired[::-1], closing, 1))

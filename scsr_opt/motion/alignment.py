@@ -9,6 +9,7 @@ guessed.
 """
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -86,7 +87,7 @@ def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edg
     """Spikes per frame between whole frames near the edges."""
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
-    stretched = zip(whole[:-1], whole[1:], strict=True)
+    stretched = pairwise(whole.tolist())
     counts = np.stack([SpikeTimes.of(spikes, begin, end).count for begin, end in stretched])
     return counts / np.diff(whole).astype(np.float32)[:, None, None]
 

@@ -33,8 +33,8 @@ _FITTED = 4000
 _COMMON, _ALIKE = 3, 0.02
 # A candidate that at most so many times as many pixels contradict as the best one serves a region as well.
 _ABOUT = 1.1
-# Where no more than this share of a region contradicts its first fit, what is left was hidden or uncovered: of 51 regions
-# (the scoreboard's objects and fans, two scales) 30 were explained so far, and no other candidate was chosen in them.
+# Where no more than this share of a region contradicts its first fit, what is left was hidden or uncovered: of 51
+# regions (the scoreboard's objects and fans, two scales) 31 were, and no other candidate would have been chosen there.
 _LITTLE = 0.35
 # Parts no further apart than twice this (sensor pixels) are one region.
 _NEAR = 3

@@ -65,7 +65,7 @@ class DataTerm(eqx.Module):
     """f(X) = ½⟨U, M U⟩ − ⟨c, U⟩ + ½ e with U = B X: Eq. 4's data part, divided by two.
 
     **Fields:**
-    - `stencil`: M. `target`: c, (H, W). `energy`: e.
+    - `stencil`: M. `target`: c, of the shape of U. `energy`: e.
     - `aperture`, `optics`: B = aperture ∘ optics; `optics` None means a perfect lens. The aperture slides over the
       high-resolution grid, or, where nothing moves, stands on the sensor's: U is (h, w) then.
     - `bound`: an upper bound of ‖BᵀMB‖ where one is known (`scsr_opt.solvers.with_bound`), so that the next solve with
@@ -73,7 +73,7 @@ class DataTerm(eqx.Module):
     """
 
     stencil: Stencil
-    target: Float[Array, "H W"]
+    target: Float[Array, "rows columns"]
     energy: Float[Array, ""]
     aperture: Aperture | Downsample
     optics: LinearOperator | None
@@ -83,11 +83,11 @@ class DataTerm(eqx.Module):
     def shape(self) -> tuple[int, int]:
         return self.aperture.shape
 
-    def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
         """U = B X."""
         return self.aperture(image if self.optics is None else self.optics(image))
 
-    def blurred_adjoint(self, u: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    def blurred_adjoint(self, u: Float[Array, "rows columns"]) -> Float[Array, "H W"]:
         """Bᵀ u."""
         back = self.aperture.adjoint(u)
         return back if self.optics is None else self.optics.adjoint(back)
@@ -353,7 +353,8 @@ def accumulate(
         stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
         target=target.reshape(height, width),
         energy=jnp.sum(weight * placed.value**2),
-        aperture=Downsample((height * placed.scale, width * placed.scale), placed.scale) if placed.on_sensor
+        aperture=Downsample((height * placed.scale, width * placed.scale), placed.scale)
+        if placed.on_sensor
         else Aperture(placed.shape, placed.scale),
         optics=optics,
     )
@@ -389,7 +390,9 @@ def with_exposure(
 
             def layer(total: Float[Array, " pixels"], at: tuple[Taps, Array]):
                 taps, amount = at
-                return jax.lax.cond(jnp.any(amount != 0), lambda t: placed.add(t, taps, amount), lambda t: t, total), None
+                return jax.lax.cond(
+                    jnp.any(amount != 0), lambda t: placed.add(t, taps, amount), lambda t: t, total
+                ), None
 
             return jax.lax.scan(layer, total, (taps, amount))[0]
 

@@ -106,7 +106,9 @@ def test_windows_of_a_large_sensor_tell_that_there_is_no_pattern(spread, monkeyp
 
     monkeypatch.setattr(gain_network, "_logarithm", counted)
     found = gain_at_rest(made.spikes, white_rate=0.6)
-    assert looked_at == [(6, 56, 56)] + [picture.shape] * bool(spread)
+    windows = [shape for shape in looked_at if shape != picture.shape]
+    # Two rows of three windows; where the first one tells enough, the second is not looked at.
+    assert windows == [(3, 56, 56)] * (1 + bool(spread)) and (picture.shape in looked_at) == bool(spread)
     everywhere = gain_at_rest(made.spikes, white_rate=0.6, skip=False)
     assert looked_at.pop() == picture.shape
     np.testing.assert_array_equal(everywhere, found)

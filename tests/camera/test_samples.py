@@ -17,14 +17,17 @@ recordings = st.tuples(st.integers(1, 40), st.integers(1, 3), st.integers(1, 4))
 )
 
 
-def expected(spikes: np.ndarray, shortest: np.ndarray, first_frame: int) -> list[tuple[float, ...]]:
+def expected(
+    spikes: np.ndarray, shortest: np.ndarray, first_frame: int, run: np.ndarray | None = None
+) -> list[tuple[float, ...]]:
     """The samples, one pixel and one spike after another."""
     found = []
     for row, column in np.ndindex(spikes.shape[1:]):
         times = [t for t in range(len(spikes)) if spikes[t, row, column]]
         length = int(shortest[row, column])
         # Inside a run of spikes in frame after frame only every fourth frame is kept.
-        kept = [t for t in times if t % 4 == 0 or not {t - 1, t + 1} <= set(times)]
+        every = 4 if run is None else int(run[row, column])
+        kept = [t for t in times if t % every == 0 or not {t - 1, t + 1} <= set(times)]
         ends = [t for i, t in enumerate(kept) if i == 0 or t // length != kept[i - 1] // length]
         if times and ends[-1] != times[-1]:
             ends.append(times[-1])
@@ -50,6 +53,19 @@ def test_intervals_are_those_of_a_loop_over_pixels(spikes, shortest, first_frame
     found = spike_intervals(spikes, white_rate=RATE, shortest=shortest, first_frame=first_frame, ends=0)
     np.testing.assert_allclose(rows(found), expected(spikes, np.full(spikes.shape[1:], shortest), first_frame), 1e-6)
     assert found.count == found.row.size
+
+
+@given(spikes=recordings, data=st.data())
+def test_runs_are_as_long_as_each_pixel_asks_for(spikes, data):
+    run = data.draw(arrays(np.int32, spikes.shape[1:], elements=st.integers(1, 9)))
+    found = spike_intervals(spikes, white_rate=RATE, run=run, ends=0)
+    np.testing.assert_allclose(rows(found), expected(spikes, np.ones_like(run), 0, run), 1e-6)
+
+
+@given(spikes=recordings)
+def test_without_runs_every_interval_is_a_sample(spikes):
+    found = spike_intervals(spikes, white_rate=RATE, run=1, ends=0)
+    assert found.count == np.maximum(spikes.sum(0, dtype=int) - 1, 0).sum()
 
 
 @given(spikes=recordings, data=st.data())
@@ -175,6 +191,8 @@ def test_padding_is_little_and_of_few_lengths():
         zeros, whole = np.zeros(n, np.float32), np.zeros(n, np.int32)
         return Samples(whole, whole, zeros, zeros, zeros, zeros).padded().row.size
 
+    # From a million on more lengths are worth their compilation.
+    assert [lengths(n) for n in (1_300_000, 1_500_000, 1_700_000)] == [5 << 18, 3 << 19, 7 << 18]
     sizes = np.arange(1, 5000)
     padded = np.array([lengths(int(n)) for n in sizes])
     assert np.all(padded >= sizes) and np.all(padded >= 1024)

@@ -494,6 +494,27 @@ def test_lipschitz_bound_is_above_the_largest_eigenvalue_and_not_far(scale):
     assert largest * (1 - 1e-6) <= bound <= 1.5 * largest
 
 
+@pytest.mark.parametrize("blurred", [False, True])
+@pytest.mark.parametrize("scale", [1, 2, 3])
+def test_at_rest_the_grid_of_the_sensor_is_enough(scale, blurred):
+    """The same f, its gradient and its bound, whether U is taken everywhere or where samples lie only."""
+    shape, samples = (4 * scale, 5 * scale), some_samples()
+    path = in_double_precision(trajectory_of(Motion.none(4, 5), key=0, start=0, stop=9))
+    optics = Blur.gaussian(shape, 0.8) if blurred else None
+    everywhere, on_sensor = (place(samples, path, scale=scale, shape=shape, on_sensor=which) for which in (False, True))
+    assert on_sensor.shape == (4, 5) and np.count_nonzero(on_sensor.weight) == samples.row.size
+    wide, narrow = (accumulate(placed, optics=optics) for placed in (everywhere, on_sensor))
+    assert wide.shape == narrow.shape == shape and narrow.target.shape == (4, 5)
+    image = jnp.asarray(random(shape))
+    for one, other in zip(narrow.value_and_gradient(image), wide.value_and_gradient(image), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+    np.testing.assert_allclose(on_sensor.read(narrow.blurred(image)), everywhere.read(wide.blurred(image)), atol=1e-12)
+    largest = np.linalg.eigvalsh(dense(narrow.normal, shape))[-1]
+    assert largest <= float(lipschitz_bound(narrow)) * (1 + 1e-9)
+    if not blurred:
+        assert float(lipschitz_bound(narrow)) == pytest.approx(largest)
+
+
 @pytest.mark.parametrize("scale", [1, 2, 3])
 @pytest.mark.parametrize("sensor", [(1, 1), (1, 6), (5, 1)])
 def test_narrow_sensors(sensor, scale):

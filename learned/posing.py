@@ -25,9 +25,9 @@ from scsr_opt.motion.estimate import Estimator, estimate_motion
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
 from scsr_opt.placing import Stream, first_picture, measured, stream_around
+from scsr_opt.preparation import FRAMES
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
-from scsr_opt.reconstruction import FRAMES
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.strength import longest_merged, validated_strength

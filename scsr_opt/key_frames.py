@@ -8,6 +8,7 @@ before lost up to 0.2 dB.)
 """
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, SupportsIndex
 
 from numpy.typing import ArrayLike
@@ -24,7 +25,8 @@ from scsr_opt.motion.layers import relabelled
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.trust import trusted
 from scsr_opt.placing import stream_around
-from scsr_opt.reconstruction import FRAMES, reconstruct
+from scsr_opt.preparation import FRAMES, Prepared, prepare
+from scsr_opt.reconstruction import solve
 from scsr_opt.solvers.solution import Solution
 
 # A motion is carried on for so many frames at most. On a recording of a car passing pixels that were held out were
@@ -34,6 +36,8 @@ _OLDEST = 40
 # And as long as no more pixels contradict it than did when it was estimated, times this, and this share of all: on that
 # recording 14, 15 and 19 % did after 0, 5 and 20 frames.
 _MORE, _SHARE = 1.5, 0.005
+# After the last of the keys.
+_END: Any = object()
 
 
 def sequence(
@@ -66,15 +70,23 @@ def sequence(
     return _pictures(recording, keys, whole(scale, "scale", 1), estimator, options)
 
 
-class _Known(NamedTuple):
-    """From the pictures before: the last `solution`, at frame `key`; the `motion` that was estimated last, at frame
-    `since`, and the share of the pixels that contradicted it then, `against`."""
+class _Followed(NamedTuple):
+    """The `motion` that was estimated last, at frame `since`, and the share of the pixels that contradicted it then,
+    `against`."""
 
-    solution: Solution
-    key: int
     motion: Motion
     since: int
     against: float
+
+
+class _Ready(NamedTuple):
+    """A picture that can be solved for, at frame `key`; whether its motion was `carried` on, and from where."""
+
+    key: int
+    prepared: Prepared
+    pictures: Stretches | None
+    carried: bool
+    followed: _Followed
 
 
 def _pictures(
@@ -84,39 +96,62 @@ def _pictures(
     estimator: Estimator | None,
     options: dict[str, Any],
 ) -> Iterator[Solution]:
-    known: _Known | None = None
     around = {name: options.get(name) for name in ("white_rate", "bad_pixels")}
     gain = options.get("gain")
     gains = None if gain is None or isinstance(gain, str) else pixel_gain(gain, recording.height, recording.width)
-    for key in keys:
+
+    def ready(key: SupportsIndex, followed: _Followed | None) -> _Ready:
         moment, stream = stream_around(recording, key=key, frames=options.get("frames", FRAMES), **around)
         pictures = comparable(
             stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gains
         )
-        motion = None if known is None else _carried(known, pictures, moment)
+        motion = None if followed is None else _carried(followed, pictures, moment)
         given = dict(options, velocity=estimator if motion is None else motion)
-        if known is not None and motion is not None:
-            before = carry(known.motion, known.key - known.since)
-            given["state"] = moved_along(before, moment - known.key, scale, known.solution.state)
-        solution = reconstruct(recording, scale=scale, key=moment, **given)
-        solution.stats["carried"] = motion is not None
-        yield solution
-        if not solution.result.good or solution.motion is None:
-            known = None
-        elif known is not None and motion is not None:
-            known = known._replace(solution=solution, key=moment)
-        else:
-            known = _Known(solution, moment, solution.motion, moment, _against(pictures, solution.motion))
+        prepared = prepare(recording, scale=scale, key=moment, **given)
+        if followed is None or motion is None:
+            followed = _Followed(prepared.motion, moment, _against(pictures, prepared.motion))
+        return _Ready(moment, prepared, pictures, motion is not None, followed)
+
+    waiting, before = iter(keys), None
+    # While a picture is solved for the next one is prepared: that takes its motion, but not the picture.
+    with ThreadPoolExecutor(1) as ahead:
+        key = next(waiting, _END)
+        task = None if key is _END else ahead.submit(ready, key, None)
+        while task is not None:
+            now = task.result()
+            key = next(waiting, _END)
+            task = None if key is _END else ahead.submit(ready, key, now.followed)
+            solution = solve(now.prepared, _start(now, before))
+            solution.stats["carried"] = now.carried
+            followed = now.followed
+            if not solution.result.good or solution.motion is None:
+                followed = None
+            elif not now.carried and solution.motion is not now.prepared.motion:
+                followed = _Followed(solution.motion, now.key, _against(now.pictures, solution.motion))
+            if task is not None and followed is not now.followed:
+                task = ahead.submit(ready, key, followed)  # what was begun is not what is wanted
+            before = None if followed is None else (now.key, solution)
+            yield solution
 
 
-def _carried(known: _Known, pictures: Stretches | None, key: int) -> Motion | None:
-    """The motion at frame `key`, with its trust; None if the recording contradicts it."""
-    if abs(key - known.since) > _OLDEST:
+def _start(now: _Ready, before: tuple[int, Solution] | None) -> Any:
+    """The state of the last solve, moved along to this picture; None where the motion is new."""
+    if before is None or not now.carried:
         return None
-    motion = carry(known.motion, key - known.since)
+    key, solution = before
+    motion = carry(now.followed.motion, key - now.followed.since)
+    kept = now.prepared.rounds.solver.kept(solution.state)
+    return moved_along(motion, now.key - key, now.prepared.asked.scale, kept)
+
+
+def _carried(followed: _Followed, pictures: Stretches | None, key: int) -> Motion | None:
+    """The motion at frame `key`, with its trust; None if the recording contradicts it."""
+    if abs(key - followed.since) > _OLDEST:
+        return None
+    motion = carry(followed.motion, key - followed.since)
     if pictures is not None:
         motion = relabelled(pictures, motion)
-    if _against(pictures, motion) > _MORE * known.against + _SHARE:
+    if _against(pictures, motion) > _MORE * followed.against + _SHARE:
         return None
     return motion if pictures is None else trusted(pictures, motion)
 

@@ -1,52 +1,28 @@
 """From spikes to a super-resolved picture: the one function that most users call."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, SupportsFloat, SupportsIndex
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
-from scsr_opt.camera.gain_network import gain_at_rest
-from scsr_opt.camera.measuring import Intervals, Measuring
+from scsr_opt.camera.measuring import Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.saturation import share_saturated, spike_counts
-from scsr_opt.errors import InputError
-from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
-from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
-from scsr_opt.motion.handed_in import checked, given
+from scsr_opt.motion.estimate import Estimator
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.blur import Blur
-from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
-from scsr_opt.operators.sampling import DataTerm
-from scsr_opt.placing import Measurements, Stream, first_picture, measured, stream_around
-from scsr_opt.priors.default import default_prior
+from scsr_opt.preparation import FRAMES, Prepared, prepare
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
-from scsr_opt.rounds import Rounds
-from scsr_opt.skip import Plan, plan_of
-from scsr_opt.solvers.iterate import Solver, run
-from scsr_opt.solvers.problem import Problem
-from scsr_opt.solvers.proximal_gradient import FISTA
+from scsr_opt.solvers.iterate import Solver
 from scsr_opt.solvers.solution import Result, Solution
-from scsr_opt.strength import (
-    Validated,
-    longest_merged,
-    noise_of_mean,
-    relative_strength,
-    strength_of_noise,
-    validated_strength,
-)
 
-# Spike frames used around the key frame (2.5 ms at 40 kHz): enough to see every sensor pixel through many apertures,
-# short enough for motion to be smooth.
-FRAMES = 101
 # Turns of picture and gain: one gets most, two all.
 _TURNS = 2
 # Pixels, about, whose gains say whether there is a fixed pattern: their spread is known to 6 % of itself (1.17 / √n, as
@@ -117,124 +93,45 @@ def reconstruct(
     **Raises:** `InputError` if something handed in cannot be used. A solve that fails is not raised, but said by
     `Solution.result`.
     """
-    clock = _Clock()
-    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    height, width = recording.height, recording.width
-    scale = whole(scale, "scale", 1)
-    shape = picture_shape(recording, scale)
-    check_type(samples, Measuring, "samples", "Intervals()")
-    check_type(prior, Prior, "prior", "HuberTotalVariation()")
-    prior = default_prior(scale) if prior is None else prior
-    check_type(solver, Solver, "solver", "FISTA()")
-    solver = FISTA() if solver is None else solver
-    solver.check(prior)
-    check_type(robust, Loss, "robust", "Huber()")
-    lens = None if isinstance(optics, str) and optics == "estimate" else optics
-    check_type(lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
-    blind = isinstance(gain, str) and gain in ("auto", "blind")
-    gains = None if gain is None or blind else pixel_gain(gain, height, width)
-    rounds_of_motion = whole(refine, "refine", 0)
-    if strength is not None:
-        strength = prior_strength(strength)
-    else:
-        relative_strength(prior)  # one without is refused before anything is computed
-    _, stream = stream_around(recording, key=key, frames=frames, white_rate=white_rate, bad_pixels=bad_pixels)
-    clock.lap("reading")
-
-    velocity = Automatic(skip=skip) if velocity is None else velocity
-
-    def estimated(by: Estimator, gain: Float[np.ndarray, "h w"] | None) -> Motion:
-        return estimate_motion(
-            stream.spikes,
-            key=stream.key,
-            white_rate=stream.white_rate,
-            estimator=by,
-            bad_pixels=stream.bad_pixels,
-            gain=gain,
-        )
-
-    if isinstance(velocity, Estimator):
-        motion = estimated(velocity, gains)
-    elif isinstance(velocity, Motion):
-        motion = checked(velocity, height, width)
-    else:
-        motion = given(velocity, height, width)
-    clock.lap("motion")
-
-    learned: dict[str, float] = {}
-    known = gain_is_known(motion.moved(len(stream.spikes)))
-    resting = None
-    if blind and not known.all():
-        resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
-        gains = np.where(known, 1, resting)
-        learned["gain_spread_at_rest"] = spread_of(resting, ~known)
-    measuring = Intervals() if samples is None else samples
-    # Outliers that were held out would decide.
-    validate = strength is None and robust is None
-
-    def measured_along(motion: Motion, gain: Float[np.ndarray, "h w"] | None) -> Measurements:
-        return measured(
-            stream,
-            motion,
-            scale=scale,
-            measuring=measuring,
-            gain=gain,
-            merge=skip,
-            longest=longest_merged(stream, motion, scale, lens),
-            on_sensor=skip and not rounds_of_motion,
-        )
-
-    taken = measured_along(motion, gains)
-    used = int(jnp.count_nonzero(taken.placed.weight))
-    if used == 0 or not stream.spikes.any():
-        stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
-        return Solution(np.zeros(shape, np.float32), (), Result.no_samples, stats, motion)
-    noise = noise_of_mean(stream)
-    plan = _plan(stream, motion, taken, noise, measuring) if skip else None
-    clock.lap("samples")
-
-    by_noise = strength_of_noise(noise, scale, prior) if strength is None else strength
-    rounds = Rounds(
-        solver=solver,
+    prepared = prepare(
+        spikes,
+        scale=scale,
+        key=key,
+        frames=frames,
+        white_rate=white_rate,
+        velocity=velocity,
+        bad_pixels=bad_pixels,
+        samples=samples,
+        gain=gain,
+        optics=optics,
         prior=prior,
-        strength=jnp.asarray(by_noise, jnp.float32),
-        optics=lens,
+        strength=strength,
         robust=robust,
+        solver=solver,
+        refine=refine,
+        skip=skip,
         progress=progress,
         keep_images=keep_images,
     )
-    image, near = first_picture(stream, shape), None
-    if lens is not optics:
-        σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
-        rounds = replace(rounds, optics=Blur.gaussian(shape, σ * scale))
+    return solve(prepared, state)
 
-    def validated(taken: Measurements) -> Validated:
-        return validated_strength(
-            stream,
-            motion,
-            taken,
-            image,
-            scale=scale,
-            prior=rounds.prior,
-            solver=rounds.solver,
-            measuring=measuring,
-            gain=gains,
-            optics=rounds.optics,
-            noise=noise,
-            skip=skip,
-        )
 
-    if validate:
-        λ, near = validated(taken)
-        rounds = replace(rounds, strength=jnp.asarray(λ, jnp.float32))
-    clock.lap("strength")
-    found = rounds(taken.placed, image, state, near=near)
+def solve(prepared: Prepared, state: Any = None) -> Solution:
+    """All of `reconstruct` from the first iteration on; `state` as there."""
+    asked, clock, learned = prepared.asked, prepared.clock, prepared.learned
+    stream, image, robust = asked.stream, prepared.image, prepared.rounds.robust
+    if not prepared.usable:
+        stats = {"iterations": 0, "samples": 0, "seconds": clock.laps}
+        return Solution(np.zeros(image.shape, np.float32), (), Result.no_samples, stats, prepared.motion)
+    clock.resume()
+    found = prepared.rounds(prepared.taken.placed, image, state, near=prepared.near)
     stages = found.outcome.stages
-    measured_as = taken
-    turns = _TURNS if blind and known.any() else 0
-    if turns and gain == "auto" and found.outcome.result.good:
+    motion, measured_as = prepared.motion, prepared.taken
+    known = gain_is_known(motion.moved(len(stream.spikes)))
+    turns = _TURNS if asked.gain is not None and known.any() else 0
+    if turns and asked.gain == "auto" and found.outcome.result.good:
         few = np.zeros(known.size, bool)
-        few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT) if skip else 1]] = True
+        few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT) if asked.skip else 1]] = True
         few = few.reshape(known.shape)
         looked = measured_as.gain(stream, motion, found.blurred, robust=robust, of=few)
         learned["gain_spread"] = spread_of(looked, few)
@@ -242,92 +139,45 @@ def reconstruct(
     for turn in range(turns):
         if not found.outcome.result.good:
             break
-        gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=resting)
+        gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=prepared.resting)
         learned["gain_spread"] = spread_of(gains, known)
-        if isinstance(velocity, Estimator):  # a pattern, which rests, had been among what moves
-            motion = estimated(velocity, gains)
-            measured_as = measured_along(motion, None)
-            plan = _plan(stream, motion, measured_as, noise, measuring) if skip else None
+        if asked.estimator is not None:  # a pattern, which rests, had been among what moves
+            motion = asked.estimated(gains)
+            measured_as = asked.measured(motion, None)
             known = gain_is_known(motion.moved(len(stream.spikes)))
-            gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=resting)
-        taken = measured_as.with_gain(gains, known, noise)
-        if validate and turn == 0:  # a fixed pattern asked for more
-            rounds = replace(rounds, strength=jnp.asarray(validated(taken).strength, jnp.float32))
-        found = rounds(taken.placed, image, found.outcome.state)
+            gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=prepared.resting)
+            prepared = replace(prepared, motion=motion, plan=asked.plan(motion, measured_as, prepared.noise))
+        taken = measured_as.with_gain(gains, known, prepared.noise)
+        prepared = replace(prepared, taken=taken, gains=gains)
+        if asked.validates and turn == 0:  # a fixed pattern asked for more
+            λ = jnp.asarray(prepared.validated().strength, jnp.float32)
+            prepared = replace(prepared, rounds=replace(prepared.rounds, strength=λ))
+        found = prepared.rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
-    for _ in range(rounds_of_motion):
+    for _ in range(asked.refine):
         if not found.outcome.result.good:
             break
-        better = refined(motion, found.blurred, taken.padded, taken.placed, key=stream.key)
+        better = refined(motion, found.blurred, prepared.taken.padded, prepared.taken.placed, key=stream.key)
         motion = replace(better, trust=motion.trust)  # no more than what it was refined from
-        taken = measured_along(motion, None if blind else gains)
-        if blind and gains is not None:
-            taken = taken.with_gain(gains, known, noise)
-        found = rounds(taken.placed, image, found.outcome.state)
+        taken = asked.measured(motion, None if asked.gain is not None else prepared.gains)
+        if asked.gain is not None and prepared.gains is not None:
+            taken = taken.with_gain(prepared.gains, known, prepared.noise)
+        prepared = replace(prepared, motion=motion, taken=taken)
+        found = prepared.rounds(taken.placed, image, found.outcome.state)
         stages += found.outcome.stages
     clock.lap("solving")
-    outcome = found.outcome
+    outcome, placed = found.outcome, prepared.taken.placed
     stats = {
         "iterations": len(stages),
-        "samples": int(jnp.count_nonzero(taken.placed.weight)),
-        "positions": taken.placed.finest,
-        "strength": float(rounds.strength),
+        "samples": int(jnp.count_nonzero(placed.weight)),
+        "positions": placed.finest,
+        "strength": float(prepared.rounds.strength),
         "objective": stages[-1].objective,
         "speed_max": float(motion.speed.max()),
         "saturated": share_saturated(spike_counts(stream.spikes), len(stream.spikes), stream.bad_pixels),
         **learned,
-        **({} if plan is None else {"plan": plan.numbers}),
+        **({} if prepared.plan is None else {"plan": prepared.plan.numbers}),
         "seconds": clock.laps,
     }
     stages = tuple(replace(stage, number=n) for n, stage in enumerate(stages, 1))
-    return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, plan)
-
-
-def _plan(stream: Stream, motion: Motion, taken: Measurements, noise: float, measuring: Measuring) -> Plan:
-    samples = taken.samples
-    plan = plan_of(
-        stream.spikes,
-        motion,
-        taken.merged_for,
-        pixel=samples.row * stream.spikes.shape[2] + samples.column,
-        light=taken.light,
-        used=np.asarray(taken.placed.weight)[: samples.row.size],
-        noise=noise * stream.white_rate,
-    )
-    # Nothing else is ever merged.
-    return plan if isinstance(measuring, Intervals) else replace(plan, intervals=plan.samples)
-
-
-class _Clock:
-    """Seconds by part of the work."""
-
-    def __init__(self):
-        self.laps: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.laps[name] = now - self._last
-        self._last = now
-
-
-# Sensor pixels that it takes, at least, to predict a tenth of them from the others.
-_ENOUGH = 100
-
-
-def _sigma_of_optics(
-    taken: Measurements, motion: Motion, stream: Stream, rounds: Rounds, image: Float[Array, "H W"]
-) -> float:
-    """Standard deviation of the lens's blur, sensor pixels, by solves without corrections."""
-    moved = float(motion.speed.max()) * len(stream.spikes)
-    if motion.speed.size < _ENOUGH or moved < 1:
-        raise InputError(
-            f"optics is 'estimate', but this recording has {motion.speed.size} pixels and moves by {moved:.2g} of "
-            f"them; it takes {_ENOUGH} pixels and a motion by 1 to tell a lens from a soft picture: hand in the Blur."
-        )
-
-    def solved(term: DataTerm) -> Float[Array, "H W"]:
-        return jnp.asarray(run(rounds.solver, Problem(term, rounds.prior, rounds.strength), image).image)
-
-    pixel = taken.padded.row * motion.speed.shape[1] + taken.padded.column
-    return estimate_gaussian_optics(taken.placed, jnp.asarray(pixel), solved).sigma
+    return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, prepared.plan)

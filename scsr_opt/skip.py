@@ -27,6 +27,8 @@ from scsr_opt.motion.trajectory import Motion
 TILE = 16
 # Below so many spikes a pixel tells next to nothing alone; the prior and its neighbours have to.
 _DARK = 4.0
+# Share of a tile's pixels that must be still over the whole recording for the tile to be at rest.
+_STILL = 0.5
 # Share of a tile's light that must be usable: less, and most of what it sees is out of view in the key frame.
 _USED = 0.5
 # The chance that a tile without texture is taken for one with texture.
@@ -50,7 +52,7 @@ class Kind(enum.IntEnum):
 
 
 _REASONS = {
-    Kind.STATIC: "nothing moves: one measurement for each pixel, no motion",
+    Kind.STATIC: "nothing moves: one measurement for each pixel that is in view all the time, no motion",
     Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as static",
     Kind.MOVING: "moves: every interval is placed on its own",
     Kind.DARK: f"fewer than {_DARK:g} spikes a pixel: what there is is used in full, and smoothed",
@@ -124,7 +126,9 @@ def plan_of(
     frames, height, width = spikes.shape
     count = spike_counts(spikes)
     fired = count.astype(np.float32) / np.float32(frames)
-    still = merged_for >= frames
+    # A pixel whose weight changes for a moment, as chance may have it, makes nothing move.
+    still = (merged_for >= frames).astype(np.float32)
+    nothing = ~(motion.velocity.any(0) | motion.acceleration.any(0))
     pixels = _tiles(np.ones_like(fired), np.add)
     mean = _tiles(fired, np.add) / pixels
     scatter = _tiles(fired**2, np.add) - pixels * mean**2
@@ -139,7 +143,7 @@ def plan_of(
     usable, all_of_it = in_threads(of_tiles, [used, light])
     share = usable / np.maximum(all_of_it, 1e-9)
     kind = np.full(mean.shape, int(Kind.MOVING))
-    rests = _tiles(still.astype(np.float32), np.minimum) > 0
+    rests = (_tiles(still, np.add) >= _STILL * pixels) & (_tiles(nothing.astype(np.float32), np.minimum) > 0)
     kind[rests] = Kind.STATIC
     kind[rests & flat] = Kind.UNIFORM
     kind[share < _USED] = Kind.FAST

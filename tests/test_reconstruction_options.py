@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-import scsr_opt.reconstruction
+import scsr_opt.preparation
 from scsr_opt import InputError, Result, reconstruct
 from scsr_opt.camera import Intervals, Noise, Sensor, Simulation, Windows, simulate
 from scsr_opt.camera.gain import FIXED_PATTERN
@@ -173,14 +173,14 @@ def test_gains_at_rest_are_for_what_rests(made, monkeypatch):
     velocity = np.zeros((2, 24, 24), np.float32)
     velocity[1, :12] = 0.2
     handed_on = []
-    measured = scsr_opt.reconstruction.measured
+    measured = scsr_opt.preparation.measured
 
     def watched(*arguments, gain=None, **options):
         handed_on.append(gain)
         return measured(*arguments, gain=gain, **options)
 
-    monkeypatch.setattr(scsr_opt.reconstruction, "measured", watched)
-    monkeypatch.setattr(scsr_opt.reconstruction, "gain_at_rest", lambda *_, **__: np.full((24, 24), 1.5))
+    monkeypatch.setattr(scsr_opt.preparation, "measured", watched)
+    monkeypatch.setattr(scsr_opt.preparation, "gain_at_rest", lambda *_, **__: np.full((24, 24), 1.5))
     reconstruct(made.spikes, scale=SCALE, velocity=velocity, solver=FISTA(iterations=1), strength=1e-3)
     assert (handed_on[0][:12] == 1).all() and (handed_on[0][12:] == 1.5).all()
 

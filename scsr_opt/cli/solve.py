@@ -71,7 +71,7 @@ def solve(
     choices = solving.arguments(recording, scale)
 
     from scsr_opt import reconstruct
-    from scsr_opt.reconstruction import FRAMES
+    from scsr_opt.preparation import FRAMES
     from scsr_opt.report.summary import Report
 
     read = time.perf_counter()

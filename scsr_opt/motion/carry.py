@@ -47,11 +47,12 @@ def moved_along(motion: Motion, frames: float | int, scale: int, pictures: Any) 
         return pictures
     shape = tuple(scale * side for side in motion.velocity.shape[1:])
     leaves, structure = jax.tree.flatten(pictures)
-    which = [n for n, leaf in enumerate(leaves) if getattr(leaf, "shape", ())[-2:] == shape]
+    # Each once, however often it is there.
+    of_shape = {id(leaf): leaf for leaf in leaves if getattr(leaf, "shape", ())[-2:] == shape}
     position = seen_at(motion, jnp.asarray([frames], jnp.float32))[0][0]
-    for n, moved in zip(which, _looked_up([jnp.asarray(leaves[n]) for n in which], position), strict=True):
-        leaves[n] = moved
-    return jax.tree.unflatten(structure, leaves)
+    there = _looked_up([jnp.asarray(leaf) for leaf in of_shape.values()], position)
+    moved = dict(zip(of_shape, there, strict=True))
+    return jax.tree.unflatten(structure, [moved.get(id(leaf), leaf) for leaf in leaves])
 
 
 @jax.jit

@@ -81,6 +81,10 @@ class Solver(eqx.Module, Generic[State]):
         """The state before the first iteration, from that of a run on a similar problem."""
         return self.init(problem, self.image(state))
 
+    def kept(self, state: State) -> State:
+        """A state that `warm` makes the same of, with the picture in the place of all that it does not look at."""
+        return state
+
     @abc.abstractmethod
     def step(self, problem: Problem, state: State) -> tuple[State, Record]:
         """One iteration."""

@@ -94,6 +94,10 @@ class _ProximalGradient(Solver[ProximalGradientState]):
     def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
         return self.init(problem, state.image)._replace(prior=state.prior)
 
+    def kept(self, state: ProximalGradientState) -> ProximalGradientState:
+        image = state.image
+        return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image)
+
     def _step(self, problem: Problem, state: ProximalGradientState) -> _Step:
         """From the point ahead, with a step size that is short enough."""
 

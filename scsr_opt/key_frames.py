@@ -2,9 +2,9 @@
 
 From one key frame to the next little changes: what moves goes on moving, what rests has been solved for. So the motion
 of the last picture is carried on along its own trajectories; only which of its layers is seen where is looked at anew.
-It is estimated anew where the recording contradicts it more than it did, or after a while. The picture and the prior's
-dual variables are moved along, and the solve goes on from there. (λ is validated for each: that of a picture ten frames
-before lost up to 0.2 dB.)
+It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
+then and carried on with it. The picture and the prior's dual variables are moved along, and the solve goes on from
+there.
 """
 
 from collections.abc import Iterable, Iterator
@@ -35,7 +35,7 @@ from scsr_opt.solvers.solution import Solution
 _OLDEST = 40
 # And as long as no more pixels contradict it than did when it was estimated, times this, and this share of all: on that
 # recording 14, 15 and 19 % did after 0, 5 and 20 frames.
-_MORE, _SHARE = 1.5, 0.005
+_MORE, _SHARE = 2.0, 0.005
 # After the last of the keys.
 _END: Any = object()
 
@@ -71,12 +71,13 @@ def sequence(
 
 
 class _Followed(NamedTuple):
-    """The `motion` that was estimated last, at frame `since`, and the share of the pixels that contradicted it then,
-    `against`."""
+    """The `motion` that was estimated last, at frame `since`, the share of the pixels that contradicted it then,
+    `against`, and the `strength` that was found with it; None where it was not looked for."""
 
     motion: Motion
     since: int
     against: float
+    strength: float | None
 
 
 class _Ready(NamedTuple):
@@ -107,9 +108,12 @@ def _pictures(
         )
         motion = None if followed is None else _carried(followed, pictures, moment)
         given = dict(options, velocity=estimator if motion is None else motion)
+        if followed is not None and motion is not None and followed.strength is not None:
+            given["strength"] = followed.strength
         prepared = prepare(recording, scale=scale, key=moment, **given)
         if followed is None or motion is None:
-            followed = _Followed(prepared.motion, moment, _against(pictures, prepared.motion))
+            λ = float(prepared.rounds.strength) if prepared.asked.validates else None
+            followed = _Followed(prepared.motion, moment, _against(pictures, prepared.motion), λ)
         return _Ready(moment, prepared, pictures, motion is not None, followed)
 
     waiting, before = iter(keys), None
@@ -127,7 +131,8 @@ def _pictures(
             if not solution.result.good or solution.motion is None:
                 followed = None
             elif not now.carried and solution.motion is not now.prepared.motion:
-                followed = _Followed(solution.motion, now.key, _against(now.pictures, solution.motion))
+                λ = None if followed.strength is None else solution.stats["strength"]
+                followed = _Followed(solution.motion, now.key, _against(now.pictures, solution.motion), λ)
             if task is not None and followed is not now.followed:
                 task = ahead.submit(ready, key, followed)  # what was begun is not what is wanted
             before = None if followed is None else (now.key, solution)

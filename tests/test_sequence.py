@@ -1,5 +1,7 @@
 """`sequence`: what the pictures of many moments have in common with those of `reconstruct`, and what is saved."""
 
+import threading
+
 import numpy as np
 import pytest
 from skimage import data
@@ -27,6 +29,7 @@ def test_a_pan_is_carried_on_and_its_pictures_are_those_of_single_solves():
     keys = (50, 55, 65)
     solutions = list(sequence(made.spikes, keys, scale=SCALE))
     assert [solution.stats["carried"] for solution in solutions] == [False, True, True]
+    assert len({solution.stats["strength"] for solution in solutions}) == 1  # found with the motion
     for key, solution in zip(keys, solutions, strict=True):
         alone = reconstruct(made.spikes, scale=SCALE, key=key)
         truth = made.truth(key)
@@ -89,6 +92,37 @@ def test_what_is_wanted_of_all_pictures_is_handed_on():
     first, second = sequence(made.spikes, (50, 60), scale=SCALE, **options)
     assert first.stats["strength"] == second.stats["strength"] == pytest.approx(0.01)
     assert second.velocity is not None and np.ptp(second.velocity, axis=(1, 2)).max() == 0
+
+
+def test_what_is_wrong_with_a_key_is_said_in_its_turn():
+    """The next picture is prepared while one is solved for; that one is handed out all the same."""
+    made = simulated(Static(PICTURE), 61)
+    following = sequence(made.spikes, (30, 61), scale=SCALE, frames=31)
+    assert next(following).result.good
+    with pytest.raises(InputError, match="key is 61"):
+        next(following)
+
+
+def test_a_sequence_that_nobody_wants_any_more_ends():
+    made = simulated(Static(PICTURE), 61)
+    following = sequence(made.spikes, range(20, 41), scale=SCALE, frames=31)
+    assert next(following).result.good
+    before = threading.active_count()
+    following.close()
+    assert threading.active_count() < before  # nothing is prepared in the background
+
+
+def test_a_prepared_motion_that_a_solve_changes_is_not_followed():
+    """A fixed pattern rests while the scene moves, and is told from it only by the first picture."""
+    made = simulate(
+        Translation(PICTURE, velocity=(0.3, -0.4), key=55), scale=SCALE, frames=121,
+        sensor=Sensor(photons=1000.0, fixed_pattern=0.1), seed=3,
+    )  # fmt: skip
+    first, second = sequence(made.spikes, (50, 55), scale=SCALE)
+    assert first.stats["gain_spread"] > 0.05 and second.stats["carried"]
+    assert first.motion is not None and second.motion is not None
+    assert np.abs(first.motion.velocity - second.motion.velocity).max() < 1e-3
+    assert second.stats["strength"] == first.stats["strength"]
 
 
 def test_nothing_to_see_is_no_reason_to_stop():

@@ -142,6 +142,14 @@ def test_going_on_from_a_state_is_the_same_trajectory_bit_for_bit(name, case, so
 
 
 @pytest.mark.parametrize("name", SOLVERS)
+def test_what_is_kept_of_a_state_is_all_that_a_similar_solve_begins_with(name, case, solved):
+    solver, state = SOLVERS[name](iterations=5, tolerance=0), solved[name].state
+    whole, kept = (run(solver, case.problem, case.start, similar=of) for of in (state, solver.kept(state)))
+    np.testing.assert_array_equal(kept.image, whole.image)
+    assert [stage.objective for stage in kept.stages] == [stage.objective for stage in whole.stages]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
 def test_a_value_that_is_not_finite_ends_the_run(name, case):
     term = eqx.tree_at(lambda t: t.target, case.problem.data, case.problem.data.target.at[3, 4].set(jnp.nan))
     outcome = run(SOLVERS[name](), eqx.tree_at(lambda p: p.data, case.problem, term), case.start)

@@ -7,7 +7,7 @@ then and carried on with it. The picture and the prior's dual variables are move
 there.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, SupportsIndex
 
@@ -42,10 +42,11 @@ _END: Any = object()
 
 def sequence(
     spikes: ArrayLike | Recording, keys: Iterable[SupportsIndex], *, scale: SupportsIndex, **options: Any
-) -> Iterator[Solution]:
+) -> Generator[Solution, None, None]:
     """The pictures X of the moments `keys`, one after the other: Eq. 4 of the paper for each (`reconstruct`).
 
-    Made as they are asked for, and the faster the less happens between them.
+    Made as they are asked for, and the faster the less happens between them. While a picture is solved for, or used,
+    the next one is prepared.
 
     **Arguments:**
     - `spikes`, `scale`, `options`: as of `reconstruct`; without `key` and `state`, and `velocity` None or an
@@ -96,7 +97,7 @@ def _pictures(
     scale: int,
     estimator: Estimator | None,
     options: dict[str, Any],
-) -> Iterator[Solution]:
+) -> Generator[Solution, None, None]:
     around = {name: options.get(name) for name in ("white_rate", "bad_pixels")}
     gain = options.get("gain")
     gains = None if gain is None or isinstance(gain, str) else pixel_gain(gain, recording.height, recording.width)

@@ -27,7 +27,7 @@ from scsr_opt.solvers.solution import Stage
 CORRECTIONS = 10
 # What is corrected next need not be solved to the end; one that changed the picture by less than so many tolerances is
 # followed by the last one.
-_LOOSE, _SETTLED = 5.0, 20.0
+_LOOSE, _SETTLED = 5.0, 10.0
 
 
 class Found(NamedTuple):

@@ -81,8 +81,9 @@ def reconstruct(
     - `solver`: `FISTA` if not given. Its limit of iterations holds for the first solve and, where exposures are long
       enough to need them or `robust` is given, for each of up to ten corrections after it.
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
-    - `skip`: leave out the work that this scene does not need (`scsr_opt.skip`). False does all of it: motion of every
-      kind over the whole sensor, and every interval as a sample of its own; for comparison.
+    - `skip`: leave out the work that this scene does not need (`scsr_opt.skip`). False does all of it, for comparison:
+      motion of every kind over the whole sensor, every interval as a sample of its own with as many positions along
+      it as any of them needs, gains of all pixels.
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.

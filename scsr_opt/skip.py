@@ -5,8 +5,13 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
 - **Motion.** Nothing is estimated where the recording does not contradict rest, one motion where it does not contradict
   that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`).
 - **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
-  pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording. What is
-  hidden or has left the picture gives none.
+  pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording; so are runs
+  of intervals of one frame, as far as the positions along an exposure lie close enough. What is hidden or has left the
+  picture gives none. An exposure has as many positions as what it sees moves.
+- **The grid.** Where nothing moves at all, samples lie on the sensor's grid, and the blurred picture is not computed in
+  between.
+- **Gains.** Windows of a large sensor, and some of the pixels, say whether there is a fixed pattern; all of them are
+  looked at only where there is.
 
 `Plan` says of each tile of the sensor which of these apply, and why.
 """

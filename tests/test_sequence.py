@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from skimage import data
 
+import scsr_opt.preparation
 from scsr_opt import InputError, Recording, reconstruct, sequence
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
@@ -23,13 +24,22 @@ def simulated(scene, frames: int = 121):
     return simulate(scene, scale=SCALE, frames=frames, sensor=Sensor(photons=1000.0), seed=3)
 
 
-def test_a_pan_is_carried_on_and_its_pictures_are_those_of_single_solves():
+def test_a_pan_is_carried_on_and_its_pictures_are_those_of_single_solves(monkeypatch):
     """Up to where a solve ends: what exposures blur comes back slowly, from either side (0.1 dB at most was seen)."""
     made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
     keys = (50, 55, 65)
-    solutions = list(sequence(made.spikes, keys, scale=SCALE))
+    validated, validates = [], scsr_opt.preparation.validated_strength
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            scsr_opt.preparation,
+            "validated_strength",
+            lambda *given, **options: validated.append(validates(*given, **options)) or validated[-1],
+        )
+        solutions = list(sequence(made.spikes, keys, scale=SCALE))
     assert [solution.stats["carried"] for solution in solutions] == [False, True, True]
-    assert len({solution.stats["strength"] for solution in solutions}) == 1  # found with the motion
+    # Found with the motion, and carried on with it.
+    assert [found.strength for found in validated] == pytest.approx([solutions[0].stats["strength"]])
+    assert len({solution.stats["strength"] for solution in solutions}) == 1
     for key, solution in zip(keys, solutions, strict=True):
         alone = reconstruct(made.spikes, scale=SCALE, key=key)
         truth = made.truth(key)

@@ -1,8 +1,8 @@
 """Eq. 4 for one recording: what the optimizer finds out before it iterates, so that networks can be measured by it.
 
-Motion, measurements, strength and first picture come from the functions that `reconstruct` takes them from, in the same
-order and with the same defaults. Two differences: the prior is Huber-TV at every scale, and a sensor's fixed pattern is
-not looked for. Networks know nothing of it, so it stays in what all are compared on, unless the gains are handed in.
+Motion, measurements, strength and first picture are those of `reconstruct` (`scsr_opt.preparation`). Two differences:
+the prior is Huber-TV at every scale, and a sensor's fixed pattern is not looked for. Networks know nothing of it, so it
+stays in what all are compared on, unless the gains are handed in.
 """
 
 import time
@@ -17,20 +17,17 @@ from jaxtyping import Array, Float, Shaped
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
-from scsr_opt.camera.measuring import Intervals
 from scsr_opt.camera.recording import Recording
-from scsr_opt.inputs import picture_shape, pixel_gain, prior_strength, whole
+from scsr_opt.inputs import picture_shape, pixel_gain, whole
 from scsr_opt.motion.alignment import Stretches
-from scsr_opt.motion.estimate import Estimator, estimate_motion
+from scsr_opt.motion.estimate import Estimator
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
-from scsr_opt.placing import Stream, first_picture, measured, stream_around
-from scsr_opt.preparation import FRAMES
+from scsr_opt.placing import Stream, stream_around
+from scsr_opt.preparation import FRAMES, prepare
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem
-from scsr_opt.solvers.proximal_gradient import FISTA
-from scsr_opt.strength import longest_merged, validated_strength
 
 PRIOR = HuberTotalVariation()
 """Ψ of the problem that all models are measured by, whatever they were given or have learned."""
@@ -145,40 +142,28 @@ def pose(
     **Raises:** `InputError` if one of these cannot be used.
     """
     begin = time.perf_counter()
-    stream, scale = moment.stream, moment.scale
+    # Never "auto", which would look for them.
     gains = None if gain is None else pixel_gain(gain, moment.recording.height, moment.recording.width)
-    motion = estimate_motion(
-        stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gains
+    prepared = prepare(
+        moment.recording,
+        scale=moment.scale,
+        key=moment.key,
+        white_rate=moment.stream.white_rate,
+        gain=gains,
+        prior=prior,
+        strength=strength,
     )
-    measuring = Intervals()
-    longest = longest_merged(stream, motion, scale)
-    taken = measured(stream, motion, scale=scale, measuring=measuring, gain=gains, longest=longest, on_sensor=True)
-    placed, first = taken.placed, first_picture(stream, moment.shape)
-    if strength is not None:
-        λ = prior_strength(strength)
-    elif stream.spikes.any() and bool(jnp.any(placed.weight > 0)):
-        λ = validated_strength(
-            stream,
-            motion,
-            taken,
-            first,
-            scale=scale,
-            prior=prior,
-            solver=FISTA(),
-            measuring=measuring,
-            gain=gains,
-        ).strength
-    else:
-        λ = 0.0  # nothing is known of the noise, and nothing will be solved
+    # Of an empty recording nothing is known of the noise, and nothing will be solved.
+    λ = prepared.rounds.strength if prepared.usable or strength is not None else 0.0
     return Posed(
         moment=moment,
-        motion=motion,
-        gain=gains,
-        placed=placed,
-        plain=accumulate(placed),
+        motion=prepared.motion,
+        gain=prepared.gains,
+        placed=prepared.taken.placed,
+        plain=accumulate(prepared.taken.placed),
         strength=jnp.asarray(λ, jnp.float32),
         prior=prior,
-        first=first,
+        first=prepared.image,
         seconds=time.perf_counter() - begin,
     )
 

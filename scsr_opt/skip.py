@@ -132,8 +132,9 @@ def plan_of(
     count = spike_counts(spikes)
     fired = count.astype(np.float32) / np.float32(frames)
     # A pixel whose weight changes for a moment, as chance may have it, makes nothing move.
-    still = (merged_for >= frames).astype(np.float32)
-    nothing = np.asarray(motion.velocity.any(0) | motion.acceleration.any(0)) == 0
+    still = merged_for >= frames
+    farthest = motion.speed + np.hypot(*motion.acceleration) * np.float32(frames / 2)
+    as_little = np.asarray(farthest <= farthest[still].max(initial=0), np.float32)
     pixels = _tiles(np.ones_like(fired), np.add)
     mean = _tiles(fired, np.add) / pixels
     scatter = _tiles(fired**2, np.add) - pixels * mean**2
@@ -148,7 +149,8 @@ def plan_of(
     usable, all_of_it = in_threads(of_tiles, [used, light])
     share = usable / np.maximum(all_of_it, 1e-9)
     kind = np.full(mean.shape, int(Kind.MOVING))
-    rests = (_tiles(still, np.add) >= _STILL * pixels) & (_tiles(np.asarray(nothing, np.float32), np.minimum) > 0)
+    rests = _tiles(still.astype(np.float32), np.add) >= _STILL * pixels
+    rests &= _tiles(as_little, np.minimum) > 0
     kind[rests] = Kind.STATIC
     kind[rests & flat] = Kind.UNIFORM
     kind[share < _USED] = Kind.FAST

@@ -77,6 +77,10 @@ class ADMM(Solver[ADMMState]):
     def warm(self, problem: Problem, state: ADMMState) -> ADMMState:
         return self._begin(problem, state.image, state.dual, state)
 
+    def retargeted(self, problem: Problem, before: Problem, state: ADMMState) -> ADMMState:
+        change = problem.change_of_gradient(before)
+        return state._replace(gradient=state.gradient + change)
+
     def _begin(self, problem: Problem, image: Float[Array, "H W"], dual: Dual, before: ADMMState | None) -> ADMMState:
         splitting = splitting_of(problem.prior)
         lipschitz = lipschitz_bound(problem.data)

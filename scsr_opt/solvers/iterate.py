@@ -3,6 +3,7 @@
 import abc
 import dataclasses
 import time
+from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -25,6 +26,8 @@ State = TypeVar("State")
 
 # Iterations between two looks from outside. At 20 the loop loses 5 % to being interrupted.
 CHUNK = 20
+# And between two corrections of the problem, each of which costs about as much as they do.
+CORRECTED_AFTER = 5
 
 
 class Record(NamedTuple):
@@ -81,6 +84,11 @@ class Solver(eqx.Module, Generic[State]):
         """The state before the first iteration, from that of a run on a similar problem."""
         return self.init(problem, self.image(state))
 
+    def retargeted(self, problem: Problem, before: Problem, state: State) -> State:
+        """The state to go on from where c and e have become those of `problem`, and nothing else has changed since
+        `before`, the problem of the last iteration."""
+        return self.warm(problem, state)
+
     def kept(self, state: State) -> State:
         """A state that `warm` makes the same of, with the picture in the place of all that it does not look at."""
         return state
@@ -114,6 +122,7 @@ def run(
     *,
     state: Any = None,
     similar: Any = None,
+    correction: Callable[[Float[Array, "H W"]], Problem | None] | None = None,
     progress: Progress | None = None,
     keep_images: bool = False,
     tolerance: float | int | None = None,
@@ -123,6 +132,8 @@ def run(
     **Arguments:**
     - `state`: `Outcome.state` (`Solution.state`) of a run of the same solver on the same problem: what follows is what
       would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
+    - `correction`: makes another problem of the picture after every `CORRECTED_AFTER` iterations, and where the
+      tolerance is met: one with other c and e, or None where the last is still good, and only then the run ends there.
     - `progress`: told of the iterations, by chunks.
     - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
     - `tolerance`: stands in for the solver's own.
@@ -142,7 +153,8 @@ def run(
     elif similar is not None:
         _check_state(solver, problem, similar)
         state = _warm(solver, problem, similar)
-    chunk = 1 if keep_images else CHUNK
+    between = CHUNK if correction is None else CORRECTED_AFTER
+    chunk = 1 if keep_images else between
 
     def advanced(before: Any, most: int) -> tuple[Any, ...]:
         if before is None:
@@ -180,6 +192,11 @@ def run(
             if not finite:
                 result = Result.non_finite
                 break
+            if correction is not None and (met or len(stages) % between == 0):
+                following = correction(solver.image(state))
+                if following is not None:
+                    state = _retargeted(solver, following, problem, state)
+                    problem, met = following, False
             if met:
                 result = Result.converged
                 break
@@ -217,6 +234,11 @@ def _check_finite(solver: Solver, image: Float[Array, "H W"]) -> None:
 @eqx.filter_jit
 def _warm(solver: Solver[State], problem: Problem, state: State) -> State:
     return strongly_typed(solver.warm(problem, state))
+
+
+@eqx.filter_jit
+def _retargeted(solver: Solver[State], problem: Problem, before: Problem, state: State) -> State:
+    return strongly_typed(solver.retargeted(problem, before, state))
 
 
 def strongly_typed(state: State) -> State:

@@ -62,6 +62,9 @@ class _Jaxopt(Solver[JaxoptState]):
         inner = jax.tree.map(lambda value: jnp.asarray(value, jnp.asarray(value).dtype), inner)
         return JaxoptState(image, image, inner, step_size)
 
+    def retargeted(self, problem: Problem, before: Problem, state: JaxoptState) -> JaxoptState:
+        return state  # jaxopt takes every gradient anew
+
     def step(self, problem: Problem, state: JaxoptState) -> tuple[JaxoptState, Record]:
         β = state.step_size
         ahead = state.inner.velocity if self._accelerated else state.image

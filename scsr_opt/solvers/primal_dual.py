@@ -57,6 +57,10 @@ class _PrimalDual(Solver[PrimalDualState]):
     def warm(self, problem: Problem, state: PrimalDualState) -> PrimalDualState:
         return self._begin(problem, state.image, state.dual)
 
+    def retargeted(self, problem: Problem, before: Problem, state: PrimalDualState) -> PrimalDualState:
+        change = problem.change_of_gradient(before)
+        return state._replace(ahead_gradient=state.ahead_gradient + change)
+
     def _begin(self, problem: Problem, image: Float[Array, "H W"], dual: Dual) -> PrimalDualState:
         splitting = splitting_of(problem.prior)
         back = splitting.adjoint(dual.field)

@@ -23,6 +23,10 @@ class Problem(eqx.Module):
     prior: Prior
     strength: Float[Array, ""]
 
+    def change_of_gradient(self, before: "Problem") -> Float[Array, "H W"]:
+        """By how much ∇f is another than that of `before`, where only c and e are: the same at every picture."""
+        return self.data.blurred_adjoint(before.data.target - self.data.target)
+
 
 def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
     """A certain upper bound on ‖BᵀMB‖, the Lipschitz constant of f's gradient; 1 / it is a step size that always works.

@@ -94,6 +94,15 @@ class _ProximalGradient(Solver[ProximalGradientState]):
     def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
         return self.init(problem, state.image)._replace(prior=state.prior)
 
+    def retargeted(self, problem: Problem, before: Problem, state: ProximalGradientState) -> ProximalGradientState:
+        # The momentum goes on: begun anew every few iterations it would never come to anything.
+        change = problem.change_of_gradient(before)
+        return state._replace(
+            gradient=state.gradient + change,
+            ahead_gradient=state.ahead_gradient + change,
+            objective=jnp.full_like(state.objective, jnp.inf),  # that of another problem says nothing
+        )
+
     def kept(self, state: ProximalGradientState) -> ProximalGradientState:
         image = state.image
         return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image)

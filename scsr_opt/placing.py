@@ -29,10 +29,12 @@ _MERGED_MOTION = 0.25
 _MERGED_SHARE, _MERGED_LONG = 0.25, 16
 # How far the weight of what a pixel sees may change while intervals are merged.
 _MERGED_CHANGE = 0.25
-# Positions along an exposure, and how far apart they may be, in sensor pixels: what is read is the picture through an
-# aperture of one.
-_POSITIONS, _SPACING = (5, 3, 1), 0.375
-# Where three positions are asked for by no more than this share of the weight, and five by none, all are taken in the
+# Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
+# through an aperture of one, and of that they all miss about as much (`scsr_opt.operators.sampling`).
+_POSITIONS, _REACHES = (5, 3, 2, 1), (1.6, 0.95, 0.375)
+# Runs of intervals of one frame are merged as far as this.
+_FARTHEST = 1.875
+# Where two positions are asked for by no more than this share of the weight, and more by none, all are taken in the
 # middle of their exposure: a few long intervals of dark pixels would put all samples through rounds of corrections.
 # What they show is then blurred by up to a sensor pixel of motion; at this share it is no object: a hundred pixels of a
 # million.
@@ -200,7 +202,7 @@ def measured(
         still_for = possible if worthwhile else still_for
         # No farther than an exposure's positions lie close enough together.
         with np.errstate(divide="ignore"):
-            run = np.clip(_POSITIONS[0] * _SPACING / fastest, 1, RUN).astype(np.int32)
+            run = np.clip(_FARTHEST / fastest, 1, RUN).astype(np.int32)
     samples = measuring(
         stream.spikes, white_rate=stream.white_rate, still_for=still_for, run=run, bad_pixels=stream.bad_pixels
     )  # fmt: skip
@@ -242,8 +244,8 @@ def _longest_first(
         speed = path.fastest_during(samples.row, samples.column, samples.start, samples.stop)
         moved = speed * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
-    for k in _POSITIONS[1:]:
-        level += k * _SPACING <= moved
+    for reach in _REACHES:
+        level += moved >= reach
     if level.max(initial=0) == 1 and samples.weight[level == 1].sum() <= _FEW_LONG * samples.weight.sum():
         level = np.zeros_like(level)
     if not each:

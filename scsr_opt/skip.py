@@ -25,7 +25,6 @@ from jaxtyping import Float, Int, Shaped
 from scipy.stats import chi2
 
 from scsr_opt.camera.saturation import SATURATED, spike_counts
-from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.trajectory import Motion
 
 # Side of a tile, sensor pixels.
@@ -146,8 +145,7 @@ def plan_of(
         summed = np.bincount(pixel, values, minlength=height * width).reshape(height, width)
         return _tiles(summed.astype(np.float32), np.add)
 
-    usable, all_of_it = in_threads(of_tiles, [used, light])
-    share = usable / np.maximum(all_of_it, 1e-9)
+    share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
     kind = np.full(mean.shape, int(Kind.MOVING))
     rests = _tiles(still.astype(np.float32), np.add) >= _STILL * pixels
     rests &= _tiles(as_little, np.minimum) > 0

@@ -39,7 +39,7 @@ RUN = 4
 _MANY = 1 << 20
 
 # Pixels whose intervals are found at once: what that takes stays in the cache, and several are worked on side by side.
-_BAND = 16_384
+_BAND = 2048
 
 
 class Samples(eqx.Module):
@@ -127,7 +127,7 @@ def spike_intervals(
     merged, runs = (np.broadcast_to(np.asarray(of), (height, width)).reshape(-1) for of in (shortest, run))
     # Of pixels that are still all the time, only the first and the last spike and their number count.
     still = merged >= frames
-    others = np.flatnonzero(good & ~still)
+    others = np.flatnonzero(good & ~still).astype(np.int32)
 
     def made(parts: tuple[np.ndarray, ...], factor: float | int = 1) -> Samples:
         pixel, begin, end, counted = parts
@@ -158,28 +158,29 @@ def _between(
     """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
     frames = spikes.shape[0]
     by_pixel = np.ascontiguousarray(spikes.reshape(frames, -1)[:, pixels].T).astype(bool, copy=False)
-    where = np.flatnonzero(by_pixel)  # ordered by pixel, then by time
-    pixel, time = where // frames, where % frames
-    order = np.arange(where.size)
+    order = np.flatnonzero(by_pixel).astype(np.int32)  # by pixel, then by time
+    pixel = np.repeat(np.arange(pixels.size, dtype=np.int32), np.count_nonzero(by_pixel, axis=1))
+    time = order - pixel * np.int32(frames)
     # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
-    every_frame = np.zeros(where.size + 1, bool)
-    every_frame[1:-1] = (time[1:] - time[:-1] == 1) & (pixel[1:] == pixel[:-1])
-    within = every_frame[1:] & every_frame[:-1]
-    within[within] = time[within] % runs[pixels[pixel[within]]] != 0
-    pixel, time, order = pixel[~within], time[~within], order[~within]
+    follows = (order[1:] - order[:-1] == 1) & (pixel[1:] == pixel[:-1])
+    within = np.flatnonzero(follows[1:] & follows[:-1]) + 1
+    left_out = within[time[within] % runs[pixels[pixel[within]]] != 0]
+    order = np.arange(order.size, dtype=np.int32)
+    if left_out.size:
+        order = np.delete(order, left_out)
+        pixel, time = pixel[order], time[order]
     if np.any(shortest[pixels] > 1):
-        number = time.size
         block = time // shortest[pixels][pixel]
-        last = np.empty(number, bool)  # the last spike of a pixel ends its last interval, however short
-        is_end = np.empty(number, bool)
-        if number:
-            is_end[0] = last[-1] = True
-            is_end[1:] = (block[1:] != block[:-1]) | (pixel[1:] != pixel[:-1])
-            last[:-1] = pixel[1:] != pixel[:-1]
-            is_end |= last
+        first = np.ones(time.size, bool)
+        first[1:] = pixel[1:] != pixel[:-1]
+        is_end = first.copy()
+        is_end[1:] |= block[1:] != block[:-1]
+        is_end[:-1] |= first[1:]  # the last spike of a pixel ends its last interval, however short
+        is_end[-1:] = True
         pixel, time, order = pixel[is_end], time[is_end], order[is_end]
-    same = pixel[1:] == pixel[:-1]
-    return pixels[pixel[1:][same]], time[:-1][same], time[1:][same], (order[1:] - order[:-1])[same]
+    begin = np.flatnonzero(pixel[1:] == pixel[:-1])
+    end = begin + 1
+    return pixels[pixel[begin]], time[begin], time[end], order[end] - order[begin]
 
 
 def _throughout(times: SpikeTimes, pixels: Int[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:

@@ -23,7 +23,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
 
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
@@ -34,6 +35,18 @@ from scsr_opt.operators.operator import LinearOperator
 
 # Samples are visited so many at a time, if their number allows, but not fewer than so many.
 _PIECE, _LEAST_PIECE = 8192, 256
+
+# Where the positions of an exposure lie, in exposures from its middle, for 1, 2, … of them: the nodes of equal weight
+# that integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"). Of the light of natural
+# pictures behind the aperture two miss as much of an exposure in which they move by 0.95 sensor pixels as one does of
+# 3/8, three as much of 1.6, five of 3 (docs/data-term.md, "Exposures").
+_NODES = np.zeros((5, 5))
+_NODES[1, 1] = 1 / 3**0.5
+_NODES[2, 2] = 0.5**0.5
+_NODES[3, [1, 3]] = (1 / 3 - 2 / 45**0.5) ** 0.5, (1 / 3 + 2 / 45**0.5) ** 0.5
+_NODES[4, [2, 4]] = ((5 - 11**0.5) / 12) ** 0.5, ((5 + 11**0.5) / 12) ** 0.5
+_NODES[:, :-1] -= _NODES[:, 1:]  # each with its mirror image before it
+_NODES /= 2
 
 # The neighbours that a pixel is coupled with, besides itself; the opposite four follow by symmetry.
 _NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
@@ -132,12 +145,12 @@ class Taps(eqx.Module):
 class PlacedSamples(eqx.Module):
     """Samples with the positions on the grid of U that each was taken at, ready to be read and accumulated.
 
-    Each sample has as many positions as its exposure needs, 1, 3, …, K. Samples are visited in pieces, and pieces none
+    Each sample has as many positions as its exposure needs, 1, 2, …, K. Samples are visited in pieces, and pieces none
     of which has a k-th position, or a weight, are passed over: the work follows the positions that there are, while
     programs depend on n and K only.
 
     **Fields:**
-    - `taps`: (K, n), the positions: the middle of the exposure, then from there outwards.
+    - `taps`: (K, n), the positions, from the middle of the exposure outwards (`moments`).
     - `positions` (n,): how many of these a sample has; 0 for padding.
     - `value`, `weight` (n,): Y_j and ω_j; the weight is 0 where a sample leaves the picture or sees what the key frame
       does not show.
@@ -178,9 +191,13 @@ class PlacedSamples(eqx.Module):
 
     @eqx.filter_jit
     def spread(self, values: Float[Array, " n"]) -> Float[Array, "H W"]:
-        """Σ_j values_j r_j, the adjoint of `read`."""
-        nothing = jnp.zeros(self.shape[0] * self.shape[1], values.dtype)
-        return self.visited(self.add, nothing, values).reshape(self.shape)
+        """Σ_j values_j r_j, the adjoint of `read`. It can be differentiated by the values, and by nothing else."""
+        return _spread(values, self.apart)
+
+    @property
+    def apart(self) -> "PlacedSamples":
+        """The same, with values that nothing is differentiated by."""
+        return eqx.tree_at(lambda placed: placed.value, self, jax.lax.stop_gradient(self.value))
 
     def add(self, total: Float[Array, " pixels"], taps: Taps, amount: Float[Array, " m"]) -> Float[Array, " pixels"]:
         """The amounts added at the taps to a flattened picture."""
@@ -191,14 +208,30 @@ class PlacedSamples(eqx.Module):
     def visited(
         self, visit: Callable[..., Any], carry: Any, amount: Float[Array, " n"], *more: Float[Array, " n"]
     ) -> Any:
-        """`carry` after `visit(carry, taps, amount_j / K_j, *more)` of all pieces of all positions, but for those that
-        have no amount; K_j is the number of a sample's positions. In a call all but the carry is (m,), of one piece."""
+        """`carry` after `visit(carry, taps, amount_j / K_j, *more)` of all positions, piece by piece, but for pieces
+        that have no amount; K_j is the number of a sample's positions. In a call all but the carry is (m,), of one
+        piece."""
 
-        def layer(carry: Any, at: tuple[Array, Taps]):
-            number, taps = at
-            return _in_turn(visit, carry, taps, self.share(number, amount), *more), None
+        def piece(carry: Any, at: _Piece):
+            own, rest = at.of(amount), tuple(map(at.of, more))
+            each, most = own / at.divisor.astype(own.dtype), at.most(own)
 
-        return jax.lax.scan(layer, carry, (self.numbers, self.taps))[0]
+            def position(number: Array, carry: Any):
+                return visit(carry, at.taps(number), jnp.where(number < at.positions, each, 0), *rest)
+
+            return jax.lax.fori_loop(np.int32(0), most, position, carry)
+
+        return self.in_pieces(piece, carry)
+
+    def in_pieces(self, visit: Callable[[Any, "_Piece"], Any], carry: Any) -> Any:
+        """`carry` after `visit` of all pieces."""
+        begins, size = _pieces(self.weight.size)
+
+        # Loops that end early, and no conditionals: those copy what they take in, which cost half as much again.
+        def piece(carry: Any, begin: Array):
+            return visit(carry, _Piece(self, begin, size)), None
+
+        return jax.lax.scan(piece, carry, begins)[0]
 
     def share(self, number: Int[Array, ""] | int, amount: Float[Array, " n"]) -> Float[Array, " n"]:
         """What the position of this number has of each sample's amount."""
@@ -210,6 +243,50 @@ class PlacedSamples(eqx.Module):
         return jnp.arange(self.finest, dtype=jnp.int32)
 
 
+# The loops that visit samples end early, which JAX does not differentiate backwards.
+@eqx.filter_custom_vjp
+def _spread(values: Float[Array, " n"], placed: PlacedSamples) -> Float[Array, "H W"]:
+    nothing = jnp.zeros(placed.shape[0] * placed.shape[1], values.dtype)
+    return placed.visited(placed.add, nothing, values).reshape(placed.shape)
+
+
+@_spread.def_fwd
+def _(perturbed: Any, values: Float[Array, " n"], placed: PlacedSamples) -> tuple[Float[Array, "H W"], None]:
+    return _spread(values, placed), None
+
+
+@_spread.def_bwd
+def _(
+    kept: None, change: Float[Array, "H W"], perturbed: Any, values: Float[Array, " n"], placed: PlacedSamples
+) -> Float[Array, " n"]:
+    return placed.read(change)
+
+
+class _Piece:
+    """Neighbouring samples, `size` of them from number `begin` on; `positions` as of the samples, and 1 instead of 0 as
+    a `divisor`."""
+
+    def __init__(self, placed: PlacedSamples, begin: Int[Array, ""], size: int):
+        self._placed, self._begin, self._size = placed, begin, size
+        self.positions = self.of(placed.positions)
+        self.divisor = jnp.maximum(self.positions, 1)
+
+    def of(self, field: Shaped[Array, " n"]) -> Shaped[Array, " m"]:
+        """The piece of a field of all samples."""
+        return jax.lax.dynamic_slice_in_dim(field, self._begin, self._size)
+
+    def taps(self, number: Int[Array, ""]) -> Taps:
+        """Of the positions of this number."""
+        size = (1, self._size)
+        return jax.tree.map(
+            lambda field: jax.lax.dynamic_slice(field, (number, self._begin), size)[0], self._placed.taps
+        )
+
+    def most(self, amount: Float[Array, " m"]) -> Int[Array, ""]:
+        """Of the positions of these samples, 0 where none of them has an amount."""
+        return jnp.where(jnp.any(amount != 0), jnp.max(self.positions), 0)
+
+
 def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, "*n"]:
     """u at the taps, bilinearly."""
     flat, width = u.reshape(-1), u.shape[1]
@@ -219,34 +296,20 @@ def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, "*n"]:
     return upper + taps.down * (lower - upper)
 
 
-def _in_turn(visit: Callable[..., Any], carry: Any, taps: Taps, amount: Array, *more: Array) -> Any:
-    """`carry` after `visit(carry, taps, amount, *more)` of all pieces that have an amount."""
-
-    def piece(carry: Any, at: tuple[Taps, Array, tuple[Array, ...]]):
-        taps, part, rest = at
-        return jax.lax.cond(jnp.any(part != 0), lambda c: visit(c, taps, part, *rest), lambda c: c, carry), None
-
-    return jax.lax.scan(piece, carry, _in_pieces((taps, amount, more)))[0]
-
-
 def moments(
     start: Float[Array, " n"], stop: Float[Array, " n"], positions: Int[Array, " n"], number: Int[Array, ""] | int
 ) -> Float[Array, " n"]:
-    """When exposures are at their position of this number, frames: 0 in the middle, 1 after it, 2 before it, 3 after
-    1, …; `positions` of them lie on each."""
-    steps = jnp.asarray((number + 1) // 2 * (2 * (number % 2) - 1), start.dtype)
-    return (start + stop) / 2 + (stop - start) * steps / jnp.maximum(positions, 1).astype(start.dtype)
+    """When exposures are at their position of this number, frames, if `positions` of them lie on each."""
+    nodes = jnp.asarray(_NODES, start.dtype).T[number]
+    return (start + stop) / 2 + (stop - start) * nodes[jnp.maximum(positions, 1) - 1]
 
 
-def _in_pieces(tree: Any) -> Any:
-    """Arrays (n,) as (n / m, m)."""
-    return jax.tree.map(lambda values: values.reshape(-1, _piece_of(values.size)), tree)
-
-
-def _piece_of(samples: int) -> int:
-    """m, the largest power of two up to `_PIECE` that divides n; all in one piece if that is small."""
+def _pieces(samples: int) -> tuple[Int[Array, " pieces"], int]:
+    """The numbers that pieces of n samples begin at, and their size: the largest power of two up to `_PIECE` that
+    divides n; all in one piece if that is small."""
     most = math.gcd(samples, _PIECE)
-    return most if most >= _LEAST_PIECE else max(samples, 1)
+    size = most if most >= _LEAST_PIECE else max(samples, 1)
+    return jnp.arange(0, samples, size, dtype=jnp.int32), size
 
 
 @eqx.filter_jit
@@ -266,8 +329,7 @@ def place(
     - `samples`: as device arrays, padded.
     - `path`: where in the key frame lies what a pixel sees.
     - `scale` s, `shape` (H, W) of the high-resolution picture.
-    - `positions` (n,): how many, spread evenly over each exposure, an odd number; 1 takes its middle. `finest` if not
-      given.
+    - `positions` (n,): how many on each exposure, from 1, its middle, to 5. `finest` if not given.
     - `finest`: the largest of these.
     - `on_sensor`: whether the grid of U is the sensor's, for a path along which nothing moves.
 
@@ -275,10 +337,10 @@ def place(
     caller to cut out (`scsr_opt.placing.measured`). Counting such samples for the part of them inside, as they are,
     costs 1 dB where a lens blurs across the border.
 
-    **Raises:** `InputError` if `finest` is even.
+    **Raises:** `InputError` if `finest` is another number.
     """
-    if finest % 2 == 0:
-        raise InputError(f"finest is {finest}, but exposures have an odd number of positions: 1, 3, 5, ….")
+    if not 1 <= finest <= len(_NODES):
+        raise InputError(f"finest is {finest}, but an exposure has from 1 to {len(_NODES)} positions.")
     grid, shape = (1, (shape[0] // scale, shape[1] // scale)) if on_sensor else (scale, shape)
     height, width = shape
     start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))
@@ -286,11 +348,17 @@ def place(
     wanted = jnp.full(rows.shape, finest, jnp.int32) if positions is None else positions.astype(jnp.int32)
     wanted = jnp.where(full > 0, wanted, 0)
 
-    tables = path.tables
+    tables, (begins, size) = path.tables, _pieces(full.size)
 
-    def piece(at: tuple[Array, ...], number: Int[Array, ""]) -> tuple[Array, Taps]:
-        rows, columns, start, stop, wanted, full, weight = at
-        down, right, seen = path.at(rows, columns, moments(start, stop, wanted, number), tables)
+    def position(number: Array, carry: Any, begin: Array) -> Any:
+        weight, taps = carry
+
+        def of_piece(field: Shaped[Array, " n"]) -> Shaped[Array, " m"]:
+            return jax.lax.dynamic_slice_in_dim(field, begin, size)
+
+        row, column, positions = of_piece(rows), of_piece(columns), of_piece(wanted)
+        time = moments(of_piece(start), of_piece(stop), positions, number)
+        down, right, seen = path.at(row, column, time, tables)
         down, right = down * grid, right * grid
         # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
         inside = (down >= -1e-3) & (right >= -1e-3)
@@ -299,21 +367,22 @@ def place(
         down = jnp.clip(jnp.where(inside, down, 0), 0, height - grid)
         right = jnp.clip(jnp.where(inside, right, 0), 0, width - grid)
         top, left = down.astype(jnp.int32), right.astype(jnp.int32)
+        there = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
         # A sample counts as far as it can be used at each of its positions.
-        least = jnp.minimum(weight, full * jnp.where(inside, seen, 0))
-        taps = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
-        return jnp.where(number < wanted, least, weight), taps
+        before = of_piece(weight)
+        least = jnp.where(number < positions, jnp.minimum(before, of_piece(full) * jnp.where(inside, seen, 0)), before)
+        taps = jax.tree.map(
+            lambda field, new: jax.lax.dynamic_update_slice(field, new[None], (number, begin)), taps, there
+        )
+        return jax.lax.dynamic_update_slice_in_dim(weight, least, begin, 0), taps
 
-    def layer(weight: Float[Array, " n"], number: Int[Array, ""]):
-        def some(at: tuple[Array, ...]) -> tuple[Array, Taps]:
-            nothing = jnp.zeros_like(at[3])
-            skipped = at[6], Taps(jnp.zeros_like(at[0]), nothing, nothing)
-            return jax.lax.cond(jnp.any(number < at[4]), lambda: piece(at, number), lambda: skipped)
+    def piece(carry: Any, begin: Array) -> Any:
+        most = jnp.max(jax.lax.dynamic_slice_in_dim(wanted, begin, size))
+        return jax.lax.fori_loop(np.int32(0), most, lambda k, carry: position(k, carry, begin), carry), None
 
-        parts = _in_pieces((rows, columns, start, stop, wanted, full, weight))
-        return jax.tree.map(lambda each: each.reshape(-1), jax.lax.map(some, parts))
-
-    weight, taps = jax.lax.scan(layer, full, jnp.arange(finest, dtype=jnp.int32))
+    nothing = jnp.zeros((finest, full.size), start.dtype)
+    first = full, Taps(nothing.astype(jnp.int32), nothing, nothing)
+    (weight, taps), _ = jax.lax.scan(piece, first, begins)
     return PlacedSamples(taps, wanted, value, weight, scale, shape, on_sensor)
 
 
@@ -321,7 +390,7 @@ def place(
 def accumulate(
     placed: PlacedSamples, *, robust: Float[Array, " n"] | None = None, optics: LinearOperator | None = None
 ) -> DataTerm:
-    """M, c and e of the samples.
+    """M, c and e of the samples. They can be differentiated by the samples' values, and by nothing else.
 
     **Arguments:**
     - `placed`: the samples and where they were taken.
@@ -330,6 +399,24 @@ def accumulate(
     """
     height, width = placed.shape
     weight = placed.weight if robust is None else placed.weight * robust
+    planes, target = _sums(placed.value, placed.apart, weight)
+    return DataTerm(
+        stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
+        target=target.reshape(height, width),
+        energy=jnp.sum(weight * placed.value**2),
+        aperture=Downsample((height * placed.scale, width * placed.scale), placed.scale)
+        if placed.on_sensor
+        else Aperture(placed.shape, placed.scale),
+        optics=optics,
+    )
+
+
+@eqx.filter_custom_vjp
+def _sums(
+    values: Float[Array, " n"], placed: PlacedSamples, weight: Float[Array, " n"]
+) -> tuple[tuple[Float[Array, " pixels"], ...], Float[Array, " pixels"]]:
+    """The planes of M, and c of these values."""
+    height, width = placed.shape
     # Upper left tap 0, its right, lower and lower right neighbours 1, 2, 3: (plane, at tap, tap, tap).
     products = (
         (0, 0, 0, 0), (0, 1, 1, 1), (0, 2, 2, 2), (0, 3, 3, 3),
@@ -347,17 +434,27 @@ def accumulate(
         return tuple(planes), target
 
     # An array to each plane: in one array of five, the same sums took a third longer.
-    nothing = jnp.zeros(height * width, placed.value.dtype)
-    planes, target = placed.visited(add, ((nothing,) * 5, nothing), weight, placed.value)
-    return DataTerm(
-        stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
-        target=target.reshape(height, width),
-        energy=jnp.sum(weight * placed.value**2),
-        aperture=Downsample((height * placed.scale, width * placed.scale), placed.scale)
-        if placed.on_sensor
-        else Aperture(placed.shape, placed.scale),
-        optics=optics,
-    )
+    nothing = jnp.zeros(height * width, values.dtype)
+    return placed.visited(add, ((nothing,) * 5, nothing), weight, values)
+
+
+@_sums.def_fwd
+def _(perturbed: Any, values: Float[Array, " n"], placed: PlacedSamples, weight: Float[Array, " n"]) -> Any:
+    return _sums(values, placed, weight), None
+
+
+@_sums.def_bwd
+def _(
+    kept: None,
+    change: Any,
+    perturbed: Any,
+    values: Float[Array, " n"],
+    placed: PlacedSamples,
+    weight: Float[Array, " n"],
+) -> Float[Array, " n"]:
+    # M does not depend on the values.
+    target = change[1]
+    return jnp.zeros_like(values) if target is None else weight * placed.read(target.reshape(placed.shape))
 
 
 @eqx.filter_jit
@@ -374,31 +471,26 @@ def with_exposure(
     weight = placed.weight if robust is None else placed.weight * robust
     weight = jnp.where(placed.positions > 1, weight, 0)
     u = term.blurred(image)
-    size = _piece_of(weight.size)
 
-    def piece(total: Float[Array, " pixels"], begin: Int[Array, ""]):
-        part = jax.lax.dynamic_slice_in_dim(weight, begin, size)
+    def piece(total: Float[Array, " pixels"], at: _Piece) -> Float[Array, " pixels"]:
+        part = at.of(weight)
+        each, most = 1 / at.divisor.astype(u.dtype), at.most(part)
+        nothing = jnp.zeros_like(part)
 
         # What was read of a piece is still in the cache when it is spread: 0.6 of the time of reading all first.
-        def visit(total: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
-            positions = jax.lax.dynamic_slice_in_dim(placed.positions, begin, size)
-            taps = jax.tree.map(lambda field: jax.lax.dynamic_slice_in_dim(field, begin, size, axis=1), placed.taps)
-            each = 1 / jnp.maximum(positions, 1).astype(u.dtype)
-            share = jnp.where(placed.numbers[:, None] < positions[None], each[None], 0)
-            seen = _read(u, taps)
-            amount = share * part[None] * (seen - (share * seen).sum(0)[None])
+        def read(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+            seen, mean = found
+            here = _read(u, at.taps(number))
+            return seen.at[number].set(here), mean + jnp.where(number < at.positions, each * here, 0)
 
-            def layer(total: Float[Array, " pixels"], at: tuple[Taps, Array]):
-                taps, amount = at
-                return jax.lax.cond(
-                    jnp.any(amount != 0), lambda t: placed.add(t, taps, amount), lambda t: t, total
-                ), None
+        seen, mean = jax.lax.fori_loop(np.int32(0), most, read, (jnp.stack([nothing] * placed.finest), nothing))
 
-            return jax.lax.scan(layer, total, (taps, amount))[0]
+        def add(number: Array, total: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
+            off = jnp.where(number < at.positions, each * part * (seen[number] - mean), 0)
+            return placed.add(total, at.taps(number), off)
 
-        return jax.lax.cond(jnp.any(part != 0), visit, lambda t: t, total), None
+        return jax.lax.fori_loop(np.int32(0), most, add, total)
 
-    begins = jnp.arange(0, weight.size, size, dtype=jnp.int32)
-    total = jax.lax.scan(piece, jnp.zeros_like(u.reshape(-1)), begins)[0]
+    total = placed.in_pieces(piece, jnp.zeros_like(u.reshape(-1)))
     excess = total.reshape(u.shape)
     return eqx.tree_at(lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess)))

@@ -25,6 +25,7 @@ from scsr_opt.operators import (
     place,
     with_exposure,
 )
+from scsr_opt.operators.sampling import moments
 from scsr_opt.solvers import lipschitz_bound
 
 SENSOR = (4, 5)
@@ -80,6 +81,19 @@ def placed_samples(
     return place(on_device, path, scale=scale, shape=shape, positions=wanted, finest=positions)
 
 
+def nodes(positions: int) -> np.ndarray:
+    """Of Chebyshev's rule of equal weights on [−1, 1], from the middle outwards: roots of the polynomials."""
+    of = {
+        1: [1, 0],
+        2: [1, 0, -1 / 3],
+        3: [1, 0, -1 / 2, 0],
+        4: [1, 0, -2 / 3, 0, 1 / 45],
+        5: [1, 0, -5 / 6, 0, 7 / 72, 0],
+    }
+    roots = np.sort(np.roots(of[positions]).real)
+    return roots[np.argsort(np.abs(roots).round(6), kind="stable")]
+
+
 def rows_one_by_one(samples: Samples, path: Trajectory, scale: int, positions: int) -> tuple[np.ndarray, np.ndarray]:
     """(K, n, H·W) bilinear rows and (n,) weights."""
     height, width = SENSOR[0] * scale, SENSOR[1] * scale
@@ -88,7 +102,7 @@ def rows_one_by_one(samples: Samples, path: Trajectory, scale: int, positions: i
     weight = np.array(samples.weight)
     for j, k in itertools.product(range(samples.row.size), range(positions)):
         r, c = samples.row[j], samples.column[j]
-        time = samples.start[j] + (samples.stop[j] - samples.start[j]) * (k + 0.5) / positions
+        time = (samples.start[j] + samples.stop[j] + (samples.stop[j] - samples.start[j]) * nodes(positions)[k]) / 2
         before = min(int(time // SPACING), MOMENTS - 2)
         part = time / SPACING - before
         y, x = scale * ((1 - part) * places[before, :, r, c] + part * places[before + 1, :, r, c])
@@ -174,7 +188,7 @@ def test_stencil_is_the_sum_over_samples(scale):
     np.testing.assert_allclose(term.energy, weight @ samples.value**2, rtol=1e-12)
 
 
-@pytest.mark.parametrize("positions", [1, 3])
+@pytest.mark.parametrize("positions", [1, 2, 3, 5])
 def test_reading_is_the_rows_and_spreading_its_adjoint(positions):
     samples, path = some_samples(), wandering(0.1)
     rows, weight = rows_one_by_one(samples, path, 2, positions)
@@ -431,11 +445,26 @@ def test_correcting_again_and_again_lowers_the_exact_objective_to_its_minimum():
     assert 0 <= last < 2e-2 * values[0]
 
 
+def test_sums_are_differentiated_by_values():
+    samples, path = some_samples(exposure=5), wandering(0.4)
+    placed = placed_samples(samples, path, positions=3)
+    toward, values = jnp.asarray(random(placed.shape)), jnp.asarray(random((60,), 1))
+    seen = placed.read(toward)
+    by_target = jax.grad(
+        lambda value: jnp.sum(toward * accumulate(eqx.tree_at(lambda p: p.value, placed, value)).target)
+    )(values)
+    np.testing.assert_allclose(by_target, placed.weight * seen, rtol=1e-12)
+    by_spread = jax.grad(lambda value: jnp.sum(toward * placed.spread(value)))(values)
+    np.testing.assert_allclose(by_spread, seen, rtol=1e-12)
+    with pytest.raises(RuntimeError, match="cannot be autodifferentiated"):
+        jax.grad(lambda w: accumulate(eqx.tree_at(lambda p: p.weight, placed, w)).target.sum())(placed.weight)
+
+
 def test_samples_with_several_numbers_of_positions_are_those_of_each_number_together():
     samples, path = some_samples(exposure=5), wandering(0.4)
-    number = np.random.default_rng(5).choice([1, 3, 5], 60)
+    number = np.random.default_rng(5).choice([1, 2, 3, 5], 60)
     together = placed_samples(samples, path, positions=5, each=number)
-    apart = {k: placed_samples(subset(samples, number == k), path, positions=int(k)) for k in (1, 3, 5)}
+    apart = {k: placed_samples(subset(samples, number == k), path, positions=int(k)) for k in (1, 2, 3, 5)}
     u, values = jnp.asarray(random(together.shape)), jnp.asarray(random((60,), 1))
     terms = {k: accumulate(placed) for k, placed in apart.items()}
     for k, placed in apart.items():
@@ -450,9 +479,21 @@ def test_samples_with_several_numbers_of_positions_are_those_of_each_number_toge
     assert_sum(with_exposure(accumulate(together), together, u), corrected)
 
 
-def test_an_even_number_of_positions_has_no_middle():
-    with pytest.raises(InputError, match="finest is 2, .* odd"):
-        placed_samples(positions=2)
+@pytest.mark.parametrize("positions", [1, 2, 3, 4, 5])
+def test_positions_integrate_polynomials_over_an_exposure(positions):
+    """To degree K, or K + 1 for an even K, and no further."""
+    start, stop, number = jnp.asarray([3.0]), jnp.asarray([5.0]), jnp.asarray([positions])
+    at = [float(moments(start, stop, number, k)[0]) - 4 for k in range(positions)]
+    degree = positions if positions % 2 else positions + 1
+    for power in range(degree + 1):
+        assert np.mean(np.power(at, power)) == pytest.approx((power % 2 == 0) / (power + 1), abs=1e-12)
+    assert abs(np.mean(np.power(at, degree + 1)) - 1 / (degree + 2)) > 1e-3
+
+
+@pytest.mark.parametrize("positions", [0, 6])
+def test_a_number_of_positions_that_there_is_no_rule_for(positions):
+    with pytest.raises(InputError, match=f"finest is {positions}, .* from 1 to 5"):
+        placed_samples(positions=positions)
 
 
 def assert_sum(found: DataTerm, of: list[DataTerm]):

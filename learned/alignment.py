@@ -124,11 +124,13 @@ def _read_backward(
         shares: Float[Array, "places 4"],
         change: Float[Array, "places c"],
     ) -> tuple[Float[Array, "pixels c"], Float[Array, "places 4"]]:
-        to_table, to_shares = jnp.zeros_like(table), []
+        # Many places add to one pixel, more than half precision can sum; nor can an accelerator add it as fast.
+        to_table, to_shares = jnp.zeros(table.shape, at_least_float32(table.dtype)), []
         for q, away in enumerate(_neighbours(across)):
-            to_table = to_table.at[index + away].add(shares[:, q, None] * change, mode="promise_in_bounds")
+            added = (shares[:, q, None] * change).astype(to_table.dtype)
+            to_table = to_table.at[index + away].add(added, mode="promise_in_bounds")
             to_shares.append((_rows(table, index + away) * change).sum(1))
-        return to_table, jnp.stack(to_shares, axis=1)
+        return to_table.astype(table.dtype), jnp.stack(to_shares, axis=1)
 
     to_table, to_shares = _one_by_one_on_cpu(spread, *kept, change)
     return to_table, None, to_shares
@@ -259,7 +261,8 @@ class Align(eqx.Module):
         if self.predictor is None:
             return leaky(self.kernel(mixed))
         offset, mask = self.predictor(mixed)
-        if guide is not None:
+        if guide is not None:  # many pixels away at times, of which half precision would keep no fraction
+            offset = offset.astype(at_least_float32(offset.dtype))
             offset = offset + jnp.tile(guide.astype(offset.dtype), (offset.shape[0] // 2, 1, 1))
         bias = None if self.kernel.bias is None else self.kernel.bias.reshape(-1)
         padding = math.isqrt(_TAPS) // 2

@@ -110,14 +110,25 @@ def grafted(model: Any, name: str) -> tuple[Any, Card]:
     A part of a network (`learned.velocity.VelocityNet`) has a place in it of the same name. Either may be the part: the
     rest of a network keeps its weights, the rest of a file is not used.
 
-    **Arguments:** `name`: of shipped weights, for example `spikesr_small_x4`, or the path of a .scsr file.
+    **Arguments:** `name`: of shipped weights, for example `spikesr_small_x4`, or the path of a .scsr file; with a colon
+    and the name of a part behind it, `spikesr_small_x4:velocity`, that part alone is taken.
 
-    **Raises:** `InputError` as `load`, or if neither's weights all have a place in the other, or a shape differs.
+    **Raises:** `InputError` as `load`, or if the file has no such part, neither's weights all have a place in the
+    other, or a shape differs.
     """
-    shipped = SHIPPED / f"{name}.scsr"
-    path = shipped if shipped.is_file() else Path(name)
+    file, _, asked = name.rpartition(":")
+    if not (file and asked.isidentifier()):  # a drive's colon has a path behind it
+        file, asked = name, None
+    shipped = SHIPPED / f"{file}.scsr"
+    path = shipped if shipped.is_file() else Path(file)
     given, card = load(path)
-    theirs = {jax.tree_util.keystr(place): leaf for place, leaf in _weights(given)}
+    theirs = {
+        jax.tree_util.keystr(place): leaf
+        for place, leaf in _weights(given)
+        if asked is None or jax.tree_util.keystr(place[:1]) == f".{asked}"
+    }
+    if not theirs:
+        raise InputError(f"{path} has no weights of a part {asked!r}: name one that it has, or the file alone.")
     mine = {jax.tree_util.keystr(place): leaf for place, leaf in _weights(model)}
     part = mine.keys() <= theirs.keys()
     for place, leaf in theirs.items():

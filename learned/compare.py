@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from learned.costs import Cost, cost
 from learned.models import Model, Network, Optimizer, model
 from learned.posing import PRIOR, Moment, Posed, moment, pose, read
-from learned.running import Run
+from learned.running import Run, sparing
 from learned.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
 from learned.validation import psnr, quality
 from scsr_opt.camera.recording import Recording
@@ -171,7 +171,9 @@ class _Measure:
             made = model.call(self.posed.moment)
             jax.block_until_ready(eqx.filter(made.arguments, eqx.is_array))
             before = time.perf_counter() - begin
-            spent = [cost(_upto, made.function, made.arguments, place) for place in range(len(stages))]
+            spent = [
+                cost(_upto, made.function, made.arguments, place, options=sparing()) for place in range(len(stages))
+            ]
         measured, pictures = self._all(found.start, stages, spent)
         image = np.asarray(found.images[-1])
         result = Result.iterations_exhausted if np.isfinite(image).all() else Result.non_finite

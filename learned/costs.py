@@ -1,7 +1,7 @@
 """What a function costs: seconds on this machine, and floating-point operations as XLA counts them."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,8 +19,9 @@ class Cost(NamedTuple):
     flops: float | None
 
 
-def cost(function: Callable[..., Any], *arguments: Any) -> Cost:
-    """The cost of `function(*arguments)`, compiled; arrays among the arguments are what it is a function of.
+def cost(function: Callable[..., Any], *arguments: Any, options: Mapping[str, bool | str] | None = None) -> Cost:
+    """The cost of `function(*arguments)`, compiled with these options; arrays among the arguments are what it is a
+    function of.
 
     FLOPs are those of XLA's cost analysis of the compiled function. It counts the body of a loop once; the rounds of a
     `scan` (and of a `fori_loop` with a known number) are added here, those of a `while_loop` are not known to anybody.
@@ -30,7 +31,7 @@ def cost(function: Callable[..., Any], *arguments: Any) -> Cost:
     def pure(arrays: Any) -> list[jax.Array]:
         return jax.tree.leaves(eqx.filter(function(*eqx.combine(arrays, rest)), eqx.is_array))
 
-    compiled = jax.jit(pure).lower(arrays).compile()
+    compiled = jax.jit(pure).lower(arrays).compile(compiler_options=None if options is None else dict(options))
     jax.block_until_ready(compiled(arrays))
     seconds = []
     for _ in range(_RUNS):

@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike
 from learned import checkpoint
 from learned.posing import PRIOR, Known, Moment, Posed, moment, pose
 from learned.restoration import RestorationNet, first_prior, restored
-from learned.running import Call, Run, call, check_stages
+from learned.running import Call, Run, call, check_stages, run
 from learned.spikesr import parameter_count
 from learned.stages import stages_of
 from scsr_opt import reconstruct
@@ -344,8 +344,7 @@ class Network:
         self, here: Moment, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
     ) -> Run:
         """R^(t) and X^(t) of all stages. **Arguments** and **Raises:** as `call`."""
-        made = self.call(here, start, motion)
-        return made.function(*made.arguments)
+        return run(self.call(here, start, motion))
 
     def call(
         self, here: Moment, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None

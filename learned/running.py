@@ -1,8 +1,11 @@
 """Running a network on a moment of a recording: the one place that knows how each kind is called."""
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
 
@@ -53,6 +56,34 @@ def call(
     # The encoder looks at neighbours: a bad pixel's spikes must be plausible, though none are measured there.
     stream = here.stream._replace(spikes=here.seen)
     return Call(_unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start))
+
+
+def run(made: Call) -> Run:
+    """The pictures of a network."""
+    return _compiled()(made.function, made.arguments)
+
+
+@functools.cache
+def _compiled() -> Callable[[Any, tuple[Any, ...]], Run]:
+    compiled: Any = eqx.filter_jit  # its types do not have the options of `jax.jit`, which it passes on
+    return compiled(lambda function, arguments: function(*arguments), compiler_options=sparing())
+
+
+@functools.cache
+def sparing() -> dict[str, bool | str]:
+    """Options for the compilation of a network, such that a CPU does not keep more in memory than it needs.
+
+    In XLA's usual order moments and stages wait for each other with all that they have: 24 GB for the full SpikeSR-Net
+    and a sensor of 250×400, in the place of 4.6. Versions that do not know the option do without.
+    """
+    options: dict[str, bool | str] = {"xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED"}
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda: jnp.zeros(())).lower().compile(compiler_options=options)
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return options
 
 
 def check_stages(net: Any, card: Card) -> None:

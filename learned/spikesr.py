@@ -27,8 +27,8 @@ only ever add to a picture.
 **What is added to the paper's.** With `velocity_channels` the network has an estimate of velocity that is taught the
 true motion of simulated scenes (`learned.velocity`, 0.05 M parameters). Offsets then start from where it says, and
 X^(0) from spike intervals read along the tracks (`learned.compensation`); with `deblur_channels` that is sharpened
-first, by layers that are told of motion, noise and light. The shipped `small` ones have both: where the scene moves,
-offsets that only the picture's loss teaches stay far from the motion.
+first, by layers that are told of motion, noise and light. The shipped ones have both: where the scene moves, offsets
+that only the picture's loss teaches stay far from the motion.
 """
 
 import dataclasses

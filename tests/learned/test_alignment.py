@@ -179,3 +179,17 @@ def test_a_guide_says_where_to_read():
     found, plain = align(features, guide=guide), align(features)
     np.testing.assert_allclose(found[:, 1:5, 3:8], plain[:, 3:7, 2:7], atol=1e-5)
     assert bool(jnp.any(jnp.abs(found - plain) > 1e-3))
+
+
+def test_half_precision_sums_what_many_places_read():
+    """400 places read one pixel: its gradient is 400, where sums in bfloat16 would not get beyond 256."""
+    row, column = jnp.meshgrid(jnp.arange(20), jnp.arange(20), indexing="ij")
+    offset = jnp.stack([5 - row, 7 - column]).astype(jnp.float32)
+    weight = jnp.ones((1, 1, 1, 1), jnp.bfloat16)
+
+    def total(features: jax.Array) -> jax.Array:
+        return jnp.sum(deformable_convolution(features, offset, None, weight).astype(jnp.float32))
+
+    gradient = jax.grad(total)(jnp.ones((1, 20, 20), jnp.bfloat16))
+    assert gradient.dtype == jnp.bfloat16
+    assert float(gradient[0, 5, 7]) == 400 and float(jnp.abs(gradient).sum()) == 400

@@ -166,6 +166,13 @@ def test_a_part_is_taken_from_a_network(tmp_path, monkeypatch):
     )
     save(tmp_path / "whole.scsr", _Whole(made[0], made[1]), dataclasses.replace(CARD, model="whole"))
     assert same(grafted(_Part(made[2]), str(tmp_path / "whole.scsr"))[0], _Part(made[0]))
+    other = _Whole(made[2], build(4)(jax.random.key(3)))  # the rest is of another size
+    found, card = grafted(other, f"{tmp_path / 'whole.scsr'}:part")
+    assert same(found, _Whole(made[0], other.rest)) and card.model == "whole"
+    with pytest.raises(InputError, match="whole.scsr has no weights of a part 'none'"):
+        grafted(other, f"{tmp_path / 'whole.scsr'}:none")
+    with pytest.raises(InputError, match=r"has weights \.rest\.weight of shape .* has of shape"):
+        grafted(other, str(tmp_path / "whole.scsr"))
 
 
 def test_of_two_configurations_the_model_is_compared_first():

@@ -3,6 +3,7 @@
 import importlib
 import subprocess
 import sys
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +13,7 @@ import pytest
 from skimage import data
 
 import learned
-from learned import checkpoint, models, posing
+from learned import checkpoint, models, posing, running
 from learned.models import Network, Optimizer, model, names
 from learned.posing import Posed, moment, pose, read
 from learned.restoration import RestorationConfig, RestorationNet
@@ -176,6 +177,20 @@ def test_encoded_spikes_are_measured_by_the_same_problem(shelf, posed, solution)
     assert first.image is not None and np.linalg.norm(first.image - solution.image) > 0
     assert first.objective > solution.stages[-1].objective  # it goes to what its encoder measured
     assert first.objective == pytest.approx(float(read(posed, jnp.asarray(first.image)).objective), rel=1e-6)
+
+
+def test_a_network_is_compiled_to_need_little_memory(monkeypatch):
+    assert set(running.sparing()) == {"xla_cpu_scheduler_type"}  # this version of XLA knows the option
+
+    def refuses(*_: Any, **__: Any) -> Any:
+        raise jax.errors.JaxRuntimeError("INVALID_ARGUMENT: No such compile option")
+
+    again = running.sparing.__wrapped__
+    with monkeypatch.context() as changed:
+        changed.setattr(jax.stages.Lowered, "compile", refuses)
+        assert again() == {}  # another one may not
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert again() == {}
 
 
 def test_functions_for_the_scoreboard(shelf, recording):

@@ -31,7 +31,7 @@ _MERGED_SHARE, _MERGED_LONG = 0.25, 16
 _MERGED_CHANGE = 0.25
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
 # through an aperture of one, and of that they all miss about as much (`scsr_opt.operators.sampling`).
-_POSITIONS, _REACHES = (5, 3, 2, 1), (1.6, 0.95, 0.375)
+_POSITIONS, _REACHES = (5, 3, 2, 1), (1.45, 0.8, 0.3)
 # Runs of intervals of one frame are merged as far as this.
 _FARTHEST = 1.875
 # Where two positions are asked for by no more than this share of the weight, and more by none, all are taken in the

@@ -38,8 +38,8 @@ _PIECE, _LEAST_PIECE = 8192, 256
 
 # Where the positions of an exposure lie, in exposures from its middle, for 1, 2, … of them: the nodes of equal weight
 # that integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"). Of the light of natural
-# pictures behind the aperture two miss as much of an exposure in which they move by 0.95 sensor pixels as one does of
-# 3/8, three as much of 1.6, five of 3 (docs/data-term.md, "Exposures").
+# pictures behind the aperture two miss as much of an exposure in which they move by 0.8 sensor pixels as one does of
+# 0.3, three as much of 1.45, five of 2.6 (docs/data-term.md, "Exposures").
 _NODES = np.zeros((5, 5))
 _NODES[1, 1] = 1 / 3**0.5
 _NODES[2, 2] = 0.5**0.5

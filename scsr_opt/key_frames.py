@@ -145,9 +145,9 @@ def _start(now: _Ready, before: tuple[int, Solution] | None) -> Any:
     if before is None or not now.carried:
         return None
     key, solution = before
-    motion = carry(now.followed.motion, key - now.followed.since)
+    assert solution.motion is not None  # or there were nothing to carry on
     kept = now.prepared.rounds.solver.kept(solution.state)
-    return moved_along(motion, now.key - key, now.prepared.asked.scale, kept)
+    return moved_along(solution.motion, now.key - key, now.prepared.asked.scale, kept)
 
 
 def _carried(followed: _Followed, pictures: Stretches | None, key: int) -> Motion | None:

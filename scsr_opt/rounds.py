@@ -28,7 +28,7 @@ from scsr_opt.solvers.solution import Stage
 from scsr_opt.solvers.stopping import relative
 
 # A picture is where the quadratic touches the data term if it is less than so many tolerances away.
-_NEAR = 20.0
+_NEAR = 10.0
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
 # there. Without, pictures as good took a seventh more work in 16 simulations, and with all of the change half as much
 # again (docs/measurements.md).

@@ -36,17 +36,17 @@ from scsr_opt.operators.operator import LinearOperator
 # Samples are visited so many at a time, if their number allows, but not fewer than so many.
 _PIECE, _LEAST_PIECE = 8192, 256
 
-# Where the positions of an exposure lie, in exposures from its middle, for 1, 2, … of them: the nodes of equal weight
-# that integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"). Of the light of natural
-# pictures behind the aperture two miss as much of an exposure in which they move by 0.8 sensor pixels as one does of
-# 0.3, three as much of 1.45, five of 2.6 (docs/data-term.md, "Exposures").
-_NODES = np.zeros((5, 5))
-_NODES[1, 1] = 1 / 3**0.5
-_NODES[2, 2] = 0.5**0.5
-_NODES[3, [1, 3]] = (1 / 3 - 2 / 45**0.5) ** 0.5, (1 / 3 + 2 / 45**0.5) ** 0.5
-_NODES[4, [2, 4]] = ((5 - 11**0.5) / 12) ** 0.5, ((5 + 11**0.5) / 12) ** 0.5
-_NODES[:, :-1] -= _NODES[:, 1:]  # each with its mirror image before it
-_NODES /= 2
+# Where the positions of an exposure lie, in exposures from its middle: two and three at the nodes of equal weight that
+# integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"), five, which exposures of any
+# length get, evenly spread. Of the light of natural pictures behind the aperture two miss as much of an exposure in
+# which they move by 0.8 sensor pixels as one does of 0.3, three as much of 1.45 (docs/data-term.md, "Exposures").
+_NODES = {
+    1: (0.0,),
+    2: (-0.5 / 3**0.5, 0.5 / 3**0.5),
+    3: (0.0, -(0.5**1.5), 0.5**1.5),
+    5: (0.0, -0.2, 0.2, -0.4, 0.4),
+}
+_TABLE = np.array([_NODES.get(k, ()) + (0.0,) * (5 - len(_NODES.get(k, ()))) for k in range(1, 6)])
 
 # The neighbours that a pixel is coupled with, besides itself; the opposite four follow by symmetry.
 _NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
@@ -145,9 +145,9 @@ class Taps(eqx.Module):
 class PlacedSamples(eqx.Module):
     """Samples with the positions on the grid of U that each was taken at, ready to be read and accumulated.
 
-    Each sample has as many positions as its exposure needs, 1, 2, …, K. Samples are visited in pieces, and pieces none
-    of which has a k-th position, or a weight, are passed over: the work follows the positions that there are, while
-    programs depend on n and K only.
+    Each sample has as many positions as its exposure needs, 1, 2, 3 or 5, K at most. Samples are visited in pieces, and
+    pieces none of which has a k-th position, or a weight, are passed over: the work follows the positions that there
+    are, while programs depend on n and K only.
 
     **Fields:**
     - `taps`: (K, n), the positions, from the middle of the exposure outwards (`moments`).
@@ -300,7 +300,7 @@ def moments(
     start: Float[Array, " n"], stop: Float[Array, " n"], positions: Int[Array, " n"], number: Int[Array, ""] | int
 ) -> Float[Array, " n"]:
     """When exposures are at their position of this number, frames, if `positions` of them lie on each."""
-    nodes = jnp.asarray(_NODES, start.dtype).T[number]
+    nodes = jnp.asarray(_TABLE, start.dtype).T[number]
     return (start + stop) / 2 + (stop - start) * nodes[jnp.maximum(positions, 1) - 1]
 
 
@@ -329,7 +329,7 @@ def place(
     - `samples`: as device arrays, padded.
     - `path`: where in the key frame lies what a pixel sees.
     - `scale` s, `shape` (H, W) of the high-resolution picture.
-    - `positions` (n,): how many on each exposure, from 1, its middle, to 5. `finest` if not given.
+    - `positions` (n,): how many on each exposure: 1, its middle, 2, 3 or 5. `finest` if not given.
     - `finest`: the largest of these.
     - `on_sensor`: whether the grid of U is the sensor's, for a path along which nothing moves.
 
@@ -339,8 +339,8 @@ def place(
 
     **Raises:** `InputError` if `finest` is another number.
     """
-    if not 1 <= finest <= len(_NODES):
-        raise InputError(f"finest is {finest}, but an exposure has from 1 to {len(_NODES)} positions.")
+    if finest not in _NODES:
+        raise InputError(f"finest is {finest}, but an exposure has 1, 2, 3 or 5 positions.")
     grid, shape = (1, (shape[0] // scale, shape[1] // scale)) if on_sensor else (scale, shape)
     height, width = shape
     start, stop, value, full = (jnp.asarray(v) for v in (samples.start, samples.stop, samples.value, samples.weight))

@@ -32,7 +32,8 @@ _MERGED_CHANGE = 0.25
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
 # through an aperture of one, and of that they all miss about as much (`scsr_opt.operators.sampling`).
 _POSITIONS, _REACHES = (5, 3, 2, 1), (1.45, 0.8, 0.3)
-# Runs of intervals of one frame are merged as far as this.
+# How far what a pixel sees may move during a run of intervals of one frame that is merged: five positions then lie 3/8
+# of a sensor pixel apart.
 _FARTHEST = 1.875
 # Where two positions are asked for by no more than this share of the weight, and more by none, all are taken in the
 # middle of their exposure: a few long intervals of dark pixels would put all samples through rounds of corrections.
@@ -200,7 +201,6 @@ def measured(
         possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, most).astype(np.int32)
         worthwhile = longest is not None or np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE
         still_for = possible if worthwhile else still_for
-        # No farther than an exposure's positions lie close enough together.
         with np.errstate(divide="ignore"):
             run = np.clip(_FARTHEST / fastest, 1, RUN).astype(np.int32)
     samples = measuring(

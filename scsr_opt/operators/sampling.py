@@ -46,7 +46,10 @@ _NODES = {
     3: (0.0, -(0.5**1.5), 0.5**1.5),
     5: (0.0, -0.2, 0.2, -0.4, 0.4),
 }
-_TABLE = np.array([_NODES.get(k, ()) + (0.0,) * (5 - len(_NODES.get(k, ()))) for k in range(1, 6)])
+# The same as a table, by number of positions and of the position.
+_TABLE = np.zeros((max(_NODES) + 1, max(_NODES)))
+for _k, _nodes in _NODES.items():
+    _TABLE[_k, :_k] = _nodes
 
 # The neighbours that a pixel is coupled with, besides itself; the opposite four follow by symmetry.
 _NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
@@ -301,7 +304,7 @@ def moments(
 ) -> Float[Array, " n"]:
     """When exposures are at their position of this number, frames, if `positions` of them lie on each."""
     nodes = jnp.asarray(_TABLE, start.dtype).T[number]
-    return (start + stop) / 2 + (stop - start) * nodes[jnp.maximum(positions, 1) - 1]
+    return (start + stop) / 2 + (stop - start) * nodes[positions]
 
 
 def _pieces(samples: int) -> tuple[Int[Array, " pieces"], int]:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Literal, SupportsFloat, SupportsIndex
 
@@ -231,12 +232,15 @@ def prepare(
     )
     clock.lap("reading")
 
-    if isinstance(velocity, Estimator):
-        motion = asked.estimated(gains)
-    elif isinstance(velocity, Motion):
-        motion = checked(velocity, height, width)
-    else:
-        motion = given(velocity, height, width)
+    with ThreadPoolExecutor(1) as beside:  # what the motion is not needed for
+        by_noise, started = beside.submit(noise_of_mean, stream), beside.submit(first_picture, stream, shape)
+        if isinstance(velocity, Estimator):
+            motion = asked.estimated(gains)
+        elif isinstance(velocity, Motion):
+            motion = checked(velocity, height, width)
+        else:
+            motion = given(velocity, height, width)
+        noise, image = by_noise.result(), started.result()
     clock.lap("motion")
 
     learned: dict[str, float] = {}
@@ -245,21 +249,20 @@ def prepare(
         resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
         gains = None if (resting == 1).all() else np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
-    taken, noise = asked.measured(motion, gains), noise_of_mean(stream)
+    taken = asked.measured(motion, gains)
     plan = asked.plan(motion, taken, noise)
     clock.lap("samples")
 
-    by_noise = strength_of_noise(noise, scale, prior) if strength is None else strength
+    λ = strength_of_noise(noise, scale, prior) if strength is None else strength
     rounds = Rounds(
         solver=solver,
         prior=prior,
-        strength=jnp.asarray(by_noise, jnp.float32),
+        strength=jnp.asarray(λ, jnp.float32),
         optics=lens,
         robust=robust,
         progress=progress,
         keep_images=keep_images,
     )
-    image = first_picture(stream, shape)
     prepared = Prepared(asked, motion, taken, gains, resting, noise, plan, rounds, image, None, learned, clock)
     if not prepared.usable:
         return prepared

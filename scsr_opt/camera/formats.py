@@ -196,7 +196,8 @@ def _read_npz(request: _Request) -> _Read:
     if key == "arr_0" and _rows_first(shape, request.size, where):
         array = np.moveaxis(array, -1, 0)
     _fitting(checked_shape(array.shape, where), request.size, where)
-    return ArraySource(as_spikes(array, where), bool(request.flip)), bool(request.flip), extras
+    upright = array[:, ::-1] if request.flip else array
+    return ArraySource.in_order(as_spikes(upright, where)), bool(request.flip), extras
 
 
 def _read_hdf5(request: _Request) -> _Read:

@@ -70,8 +70,8 @@ class Recording:
         """A recording of spikes in memory.
 
         **Arguments:**
-        - `array`: (T, h, w), bool or integer, 0 and 1 only, upright, time first. A uint8 or bool array is not copied,
-          so do not change it afterwards.
+        - `array`: (T, h, w), bool or integer, 0 and 1 only, upright, time first. A uint8 or bool array that lies in
+          memory frame after frame is not copied, so do not change it afterwards.
         - the others: as the fields.
 
         **Raises:** `InputError` if `array` has another number of dimensions, other values, or nothing in it.
@@ -84,7 +84,7 @@ class Recording:
                 "every row as long as the others."
             ) from None
         checked_shape(spikes.shape, "The array")
-        source = ArraySource(as_spikes(spikes, "The array"))
+        source = ArraySource.in_order(as_spikes(spikes, "The array"))
         return cls(source, name=name, **checked_settings(source.shape, readout_rate, white_rate, bad_pixels))
 
     @property

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
-from scsr_opt.camera.spike_times import SpikeTimes
+from scsr_opt.camera.spike_times import as_bytes
 
 SATURATED = 0.9
 """Share of the frames in which a saturated pixel fires: it is as bright as can be measured, or brighter."""
@@ -11,7 +11,10 @@ SATURATED = 0.9
 
 def spike_counts(spikes: Shaped[np.ndarray, "T h w"]) -> Int[np.ndarray, "h w"]:
     """How often each pixel fired."""
-    return SpikeTimes.of(spikes).count.astype(np.int32)
+    count = np.zeros(spikes.shape[1:], np.int32)
+    for start in range(0, len(spikes), 255):  # as far as a byte counts: half the time of anything wider
+        count += np.add.reduce(as_bytes(spikes[start : start + 255]), axis=0, dtype=np.uint8)
+    return count
 
 
 def saturated(

@@ -70,21 +70,24 @@ class SpikeSource(ABC):
 
 @dataclass(frozen=True, eq=False)
 class ArraySource(SpikeSource):
-    """Spikes in memory: (T, h, w), 0 and 1 already checked (any strides)."""
+    """Spikes in memory: (T, h, w), 0 and 1 already checked, upright, frame after frame (`in_order`)."""
 
     array: UInt8[np.ndarray, "T h w"]
-    flipped: bool = False
 
     @property
     def shape(self) -> tuple[int, int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return checked_shape(self.array.shape, "The array")
 
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
-        return _copied(self.array[start:stop], self.flipped)
+        return self.array[start:stop].copy()
 
     def view(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
-        seen = (self.array[:, ::-1] if self.flipped else self.array)[start:stop]
-        return np.ascontiguousarray(seen)
+        return self.array[start:stop]
+
+    @classmethod
+    def in_order(cls, array: UInt8[np.ndarray, "T h w"]) -> "ArraySource":
+        """Of an array with any strides. Where these are others, it is copied once, here, not for each picture."""
+        return cls(np.ascontiguousarray(array))
 
 
 @dataclass(frozen=True)

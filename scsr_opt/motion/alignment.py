@@ -8,9 +8,10 @@ the key frame are taken in step by step: at 40,000 frames a second the near ones
 guessed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,8 @@ from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.trajectory import bilinear
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +41,25 @@ class Stretches:
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
     counted: Float[Array, "n h w"] | None = None
-    _presmoothed: dict[float, "Stretches"] = field(default_factory=dict, init=False, repr=False)
+    _known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     def presmoothed(self, sigma: float | int) -> "Stretches":
         """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken.
 
         Made once for each `sigma`: nearly everything that looks at pictures asks for the same few."""
-        if sigma not in self._presmoothed:
+
+        def made() -> Stretches:
             halves = np.array_split(np.asarray(self.picture), 2)
             blurred = in_threads(lambda part: gaussian_filter(part, sigma, axes=(1, 2), mode="nearest"), halves)
-            self._presmoothed[sigma] = Stretches(jnp.asarray(np.concatenate(blurred)), self.after, self.firing)
-        return self._presmoothed[sigma]
+            return Stretches(jnp.asarray(np.concatenate(blurred)), self.after, self.firing)
+
+        return self.once(("presmoothed", sigma), made)
+
+    def once(self, what: Any, found: Callable[[], Found]) -> Found:
+        """What is `found` about these pictures, the first time that it is asked for."""
+        if what not in self._known:
+            self._known[what] = found()
+        return self._known[what]
 
     def from_moment(self, after: float) -> "Stretches":
         """The same pictures, with times counted from another moment, `after` so many frames."""
@@ -88,7 +99,7 @@ def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edg
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
     stretched = pairwise(whole.tolist())
-    counts = np.stack([SpikeTimes.of(spikes, begin, end).count for begin, end in stretched])
+    counts = np.stack([spike_counts(spikes[begin:end]) for begin, end in stretched])
     return counts / np.diff(whole).astype(np.float32)[:, None, None]
 
 
@@ -101,11 +112,12 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
     frames = spikes.shape[0]
     if frames < 16:
         return 0, frames - 1
-    some = np.asarray(spikes[:, ::2, ::2]).astype(bool, copy=False).reshape(frames, -1)
-    some = some[:, some.any(0)]
-    if some.shape[1] == 0:
+    some = SpikeTimes.of(spikes[:, ::2, ::2])
+    fired = some.count > 0
+    if not fired.any():
         return 0, frames - 1
-    early, late = (int(np.quantile(part.argmax(0), _FIRED, method="higher")) for part in (some, some[::-1]))
+    gaps = some.first[fired], frames - 1 - some.last[fired]
+    early, late = (int(np.quantile(gap, _FIRED, method="higher")) for gap in gaps)
     return min(early, frames // 5), frames - 1 - min(late, frames // 5)
 
 

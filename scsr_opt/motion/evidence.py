@@ -47,13 +47,17 @@ def heard(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
 def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Where the recording contradicts that nothing moves, as `contradicted` says, and where it is certain that nothing
     does: any motion by half a pixel over the recording would contradict rest, and there are spikes to show it."""
-    evidence, drifted, least = _evidence(pictures, None)
-    moving = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
-    certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
-    if pictures.firing is not None:
-        span = pictures.after[-1] - pictures.after[0]
-        certain &= smooth(pictures.firing, jnp.asarray(_WINDOW)) * span >= _SPIKES
-    return moving, np.asarray(certain)
+
+    def found() -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+        evidence, drifted, least = _evidence(pictures, None)
+        moving = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
+        certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
+        if pictures.firing is not None:
+            span = pictures.after[-1] - pictures.after[0]
+            certain &= smooth(pictures.firing, jnp.asarray(_WINDOW)) * span >= _SPIKES
+        return moving, np.asarray(certain)
+
+    return pictures.once("at rest", found)
 
 
 def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:

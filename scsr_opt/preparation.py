@@ -232,8 +232,13 @@ def prepare(
     )
     clock.lap("reading")
 
+    def gains_at_rest() -> Float[np.ndarray, "h w"]:
+        return gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
+
     with ThreadPoolExecutor(1) as beside:  # what the motion is not needed for
         by_noise, started = beside.submit(noise_of_mean, stream), beside.submit(first_picture, stream, shape)
+        # Little work, where windows of the sensor tell; all of it waits until it is needed.
+        at_rest = beside.submit(gains_at_rest) if looked_for is not None and skip else None
         if isinstance(velocity, Estimator):
             motion = asked.estimated(gains)
         elif isinstance(velocity, Motion):
@@ -246,7 +251,7 @@ def prepare(
     learned: dict[str, float] = {}
     known, resting = gain_is_known(motion.moved(len(stream.spikes))), None
     if looked_for is not None and not known.all():
-        resting = gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
+        resting = gains_at_rest() if at_rest is None else at_rest.result()
         gains = None if (resting == 1).all() else np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     taken = asked.measured(motion, gains)

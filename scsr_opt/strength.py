@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
@@ -184,20 +185,21 @@ def validated_strength(
     moved = motion.moved(len(stream.spikes))
 
     def made(area: tuple[slice, slice]) -> _Part | None:
-        pieces = taken
+        pieces, part, merged = taken, stream.part(*area), False
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
-            # Only runs are merged, as what is held out has to be in pieces.
+            # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
+            merged = skip and bool(np.mean(len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)) <= _STRETCH / 2)
             pieces = measured(
-                stream.part(*area),
+                part,
                 taken.path.part(*area),
                 scale=scale,
                 measuring=measuring,
                 gain=None if gain is None else gain[area],
                 merge=skip,
-                longest=1,
+                longest=_STRETCH if merged else 1,
                 on_sensor=skip,
             )
-        return _split(pieces, moved[area], optics, image[_scaled(area, scale)])
+        return _split(pieces, moved[area], merged, optics, image[_scaled(area, scale)])
 
     areas = _chosen(image, scale, side, good)
     found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
@@ -273,11 +275,12 @@ def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
 def _split(
     taken: Measurements,
     moved: Float[np.ndarray, "h w"],
+    merged: bool,
     optics: LinearOperator | None,
     first: Float[Array, "H W"],
 ) -> _Part | None:
-    """The samples, a fifth of them held out; None if there are too few to do so."""
-    held, weight = _held_out(taken.padded, moved), np.asarray(taken.placed.weight)
+    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `_held_out`."""
+    held, weight = _held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
     if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
         return None
     rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
@@ -296,8 +299,9 @@ def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) ->
     return max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
 
 
-def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
-    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel."""
+def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
+    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `merged`: whether samples
+    are stretches of time already where nothing moves."""
     rows, columns = np.indices(moved.shape)
     pixel = np.asarray(samples.row) * moved.shape[1] + np.asarray(samples.column)
     whole = (moved >= _MOVED).reshape(-1)
@@ -305,7 +309,7 @@ def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"]) -> Bool[np.ndar
     held = whole[pixel] & ((2 * rows + columns) % _SHARE == 0).reshape(-1)[pixel]
     if not whole.all():
         duration = np.asarray(samples.stop - samples.start)
-        typical = float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
+        typical = 0.0 if merged else float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
         stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
         # From pixel to pixel another stretch, so that no time is missing.
         by_time = (stretch.astype(np.int32) + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0

@@ -247,7 +247,9 @@ def _label(mismatches: list[Float[np.ndarray, "h w"]]) -> Int[np.ndarray, "h w"]
     label = cost.argmin(0)
     for _ in range(12):
         around = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(len(cost))]
-        label = (cost - _TOGETHER * np.stack(around)).argmin(0)
+        before, label = label, (cost - _TOGETHER * np.stack(around)).argmin(0)
+        if np.array_equal(label, before):
+            break
     return _joined(label, mismatch)
 
 

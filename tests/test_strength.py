@@ -186,6 +186,22 @@ def test_too_few_samples_leave_the_strength_of_the_noise():
     assert validated(stream) == strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
 
 
+def test_stretches_of_time_ask_for_the_strength_of_the_intervals_in_them():
+    """Merged, they are held out as their intervals are but for those at the ends of a stretch."""
+    stream = still(data.brick()[:192, :192] / 255, photons=1000.0)
+    motion, (_, height, width) = Motion.none(96, 96), stream.spikes.shape
+    assert (height, width) == (96, 96)
+    taken = measured(stream, motion, scale=SCALE, measuring=Intervals())
+    of_stretches, of_intervals = (
+        validated_strength(
+            stream, motion, taken, first_of(stream), scale=SCALE, prior=HuberTotalVariation(), solver=FISTA(),
+            measuring=Intervals(), skip=skip,
+        ).strength
+        for skip in (True, False)
+    )  # fmt: skip
+    assert of_stretches == pytest.approx(of_intervals, rel=0.1)
+
+
 def test_a_fifth_of_every_pixels_time_is_held_out():
     from scsr_opt.camera.samples import spike_intervals
 

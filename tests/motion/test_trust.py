@@ -73,3 +73,17 @@ def test_samples_count_by_the_share_of_the_point_that_they_see():
     np.testing.assert_allclose(visible[4 // SPACING, 6, [10, 11, 12]], [1, 0.625, 1], atol=1e-5)
     # Beyond the last known moment, its share holds.
     np.testing.assert_allclose(visible[16 // SPACING, 6, 14], 0.25, atol=1e-5)
+
+
+def test_what_stands_still_has_one_worth_unless_it_is_less_than_half():
+    """A slow pan taken for rest, and for a motion that differs in what stands still and at the edges only."""
+    scene = Translation(data.gravel()[100:196, 100:196], velocity=(0.0, 0.03))
+    slow = stretches(simulate(scene, scale=2, frames=81, sensor=Sensor(photons=1000.0), seed=0).spikes, key=KEY)
+    resting, creeping = (trusted(slow, steady(slow, (0.0, speed))).trust for speed in (0.0, 1e-6))
+    assert resting is not None and creeping is not None
+    rested, crept = (trust.share[:, 12:-12, 12:-12] for trust in (resting, creeping))
+    least, mean = crept.min(0), crept.mean(0)
+    always, not_always = least > 0.51, least < 0.49
+    assert always.mean() > 0.1 and not_always.mean() > 0.1
+    np.testing.assert_allclose(rested, np.where(always, mean, rested), atol=1e-3)
+    np.testing.assert_allclose(rested[:, not_always], crept[:, not_always], atol=1e-3)

@@ -188,7 +188,9 @@ def validated_strength(
         pieces, part, merged = taken, stream.part(*area), False
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
             # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
-            merged = skip and bool(np.mean(len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)) <= _STRETCH / 2)
+            if skip and isinstance(measuring, Intervals):
+                frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
+                merged = bool(frames_each.mean() <= _STRETCH / 2)
             pieces = measured(
                 part,
                 taken.path.part(*area),

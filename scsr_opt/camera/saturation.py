@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
 
-from scsr_opt.camera.spike_times import as_bytes
+from scsr_opt.camera.spike_times import BYTE, as_bytes
 
 SATURATED = 0.9
 """Share of the frames in which a saturated pixel fires: it is as bright as can be measured, or brighter."""
@@ -12,8 +12,8 @@ SATURATED = 0.9
 def spike_counts(spikes: Shaped[np.ndarray, "T h w"]) -> Int[np.ndarray, "h w"]:
     """How often each pixel fired."""
     count = np.zeros(spikes.shape[1:], np.int32)
-    for start in range(0, len(spikes), 255):  # as far as a byte counts: half the time of anything wider
-        count += np.add.reduce(as_bytes(spikes[start : start + 255]), axis=0, dtype=np.uint8)
+    for start in range(0, len(spikes), BYTE):
+        count += np.add.reduce(as_bytes(spikes[start : start + BYTE]), axis=0, dtype=np.uint8)
     return count
 
 

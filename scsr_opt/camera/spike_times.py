@@ -7,7 +7,7 @@ from jaxtyping import Int, Shaped, UInt8
 
 # Frames that are looked at before what was found in bytes goes to wider numbers: as far as a byte counts. Bytes take a
 # fifth of the time of anything wider.
-_MOST = 255
+BYTE = 255
 
 
 class SpikeTimes(NamedTuple):
@@ -29,8 +29,8 @@ class SpikeTimes(NamedTuple):
         # Both from the far end inwards, so that the larger number is the one that counts, and 0 is none. Choosing by
         # masks takes forty times as long as a maximum.
         since_end, last, count = (np.zeros(spikes.shape[1:], kind) for _ in range(3))
-        for start in range(begin, end, _MOST):
-            stop = min(start + _MOST, end)
+        for start in range(begin, end, BYTE):
+            stop = min(start + BYTE, end)
             until_last, from_first, times = _within(as_bytes(spikes[start:stop]))
             some = times > 0
             np.maximum(last, until_last + kind(start) * some, out=last)
@@ -48,8 +48,8 @@ def second_spikes(spikes: Shaped[np.ndarray, "T pixels"]) -> Int[np.ndarray, " p
     """The frame of the second spike of pixels that fired at least twice."""
     seen, hit, found = (np.zeros(spikes.shape[1:], np.uint8) for _ in range(3))
     frame = np.zeros(spikes.shape[1:], np.int32)
-    for start in range(0, len(spikes), _MOST):
-        for t, now in enumerate(as_bytes(spikes[start : start + _MOST])):
+    for start in range(0, len(spikes), BYTE):
+        for t, now in enumerate(as_bytes(spikes[start : start + BYTE])):
             if t % 8 == 0 and seen.min(initial=2) == 2:
                 break
             np.equal(seen, 1, out=hit.view(bool))

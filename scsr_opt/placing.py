@@ -18,7 +18,7 @@ from scsr_opt.camera.samples import RUN, Samples
 from scsr_opt.cutting import cut_to_seen
 from scsr_opt.inputs import bad_pixels_of, whole
 from scsr_opt.motion.estimate import filled
-from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
+from scsr_opt.motion.trajectory import Motion, Speeds, Trajectory, trajectory_of
 from scsr_opt.operators.robust import Loss, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, place
 
@@ -190,7 +190,8 @@ def measured(
     followed = isinstance(motion, Trajectory)
     path = motion if followed else trajectory_of(motion, key=stream.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
-    fastest = path.fastest
+    speeds = path.speeds
+    fastest = speeds.most
     still_for, run = np.ones((height, width), np.int32), 1
     if merge and isinstance(measuring, Intervals):
         with np.errstate(divide="ignore", over="ignore"):
@@ -213,7 +214,7 @@ def measured(
     if isinstance(measuring, Intervals) and measuring.noise is not None:
         weight = measuring.noise.weights(samples, _mean_light(stream))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
-    order, positions = _longest_first(samples, path, each=merge)
+    order, positions = _longest_first(samples, speeds, each=merge)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
@@ -236,12 +237,12 @@ def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
 
 
 def _longest_first(
-    samples: Samples, path: Trajectory, *, each: bool
+    samples: Samples, speeds: Speeds, *, each: bool
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """The samples' numbers, and how many positions each gets along its exposure, those with most first: `each` as many
     as it needs, or all as many as any of them does."""
     with np.errstate(over="ignore", invalid="ignore"):
-        speed = path.fastest_during(samples.row, samples.column, samples.start, samples.stop)
+        speed = speeds.during(samples.row, samples.column, samples.start, samples.stop)
         moved = speed * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
     for reach in _REACHES:

@@ -69,8 +69,8 @@ def test_a_pixel_before_which_something_passes_needs_more_positions_only_then():
     # Before it, in it, after it, beyond the moments, over all of it, and next to it.
     row, column = np.full(6, 1, np.int32), np.array([2, 2, 2, 2, 2, 1], np.int32)
     start, stop = np.array([[4, 7], [21, 23], [25, 28], [58, 62], [2, 50], [21, 23]], np.float32).T
-    np.testing.assert_allclose(path.fastest_during(row, column, start, stop), [0, 0.5, 0, 0, 0.5, 0])
-    np.testing.assert_allclose(path.fastest[1], [0, 0, 0.5, 0])
+    np.testing.assert_allclose(path.speeds.during(row, column, start, stop), [0, 0.5, 0, 0, 0.5, 0])
+    np.testing.assert_allclose(path.speeds.most[1], [0, 0, 0.5, 0])
 
 
 def test_samples_and_their_places_stay_together(spikes):
@@ -114,8 +114,8 @@ def test_few_exposures_that_are_a_little_long_do_not_put_all_through_corrections
     position = np.zeros((2, 2, 100, 200), np.float32)
     position[1, 1, 7, 40 : 40 + pixels] = SPACING * moved
     path = Trajectory(jnp.float32(0), jnp.asarray(position), jnp.ones((2, 100, 200)))
-    order, found = _longest_first(samples, path, each=True)
+    order, found = _longest_first(samples, path.speeds, each=True)
     assert set(found.tolist()) == positions
-    assert set(_longest_first(samples, path, each=False)[1].tolist()) == {max(positions)}
+    assert set(_longest_first(samples, path.speeds, each=False)[1].tolist()) == {max(positions)}
     if len(positions) > 1:
         assert (row[order[:pixels]] == 7).all() and (found[:pixels] > 1).all()

@@ -46,6 +46,9 @@ _SHARPNESS = 0.6
 _SUPPORT = 1.2
 # A mismatch counts in units of the noise, at most this much: what is hidden at a time mismatches under any motion.
 _ENOUGH = 6.0
+# The picture of the key frame is a mean over near moments, weighted by a Gaussian of 6 frames; weights below this are
+# left out.
+_HARDLY = 1e-4
 # What a motion has to gain over one found before it (the background is the first, the dense estimate the last): where
 # all fit, the simplest is taken.
 _PREFERENCE = 0.15
@@ -246,8 +249,9 @@ def _label(mismatches: list[Float[np.ndarray, "h w"]]) -> Int[np.ndarray, "h w"]
     cost = mismatch + _PREFERENCE * np.arange(len(mismatch))[:, None, None]
     label = cost.argmin(0)
     for _ in range(12):
-        around = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(len(cost))]
-        before, label = label, (cost - _TOGETHER * np.stack(around)).argmin(0)
+        shares = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(1, len(cost))]
+        around = np.stack([1 - sum(shares, start=np.zeros_like(mismatch[0])), *shares])
+        before, label = label, (cost - _TOGETHER * around).argmin(0)
         if np.array_equal(label, before):
             break
     return _joined(label, mismatch)
@@ -307,13 +311,18 @@ def _sides(
     """
     height, width = pictures.shape[1:]
 
-    def average(sums: tuple[Array, Array], one: tuple[Array, Array]):
-        value, inside = along(*one, velocity, acceleration)
-        weight = inside * jnp.exp(-0.5 * (one[1] / 6) ** 2)
-        return (sums[0] + weight * value, sums[1] + weight), None
+    # Beside the nearest moment; those that hardly count are not looked up.
+    near = jnp.exp(-0.5 * (after**2 - jnp.min(after**2)) / 6**2)
+    numbers = jnp.arange(after.size)
+    begin = jnp.min(jnp.where(near > _HARDLY, numbers, after.size))
+    end = jnp.max(jnp.where(near > _HARDLY, numbers + 1, 0))
+
+    def average(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        value, inside = along(pictures[k], after[k], velocity, acceleration)
+        return sums[0] + near[k] * inside * value, sums[1] + near[k] * inside
 
     nothing = jnp.zeros((height, width), jnp.float32)
-    (total, weight), _ = jax.lax.scan(average, (nothing, nothing), (pictures, after))
+    total, weight = jax.lax.fori_loop(begin, end, average, (nothing, nothing))
     reference = total / jnp.maximum(weight, 1e-6)
 
     def compare(sums: tuple[Array, Array], one: tuple[Array, Array]):

@@ -7,6 +7,7 @@ frames.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -204,34 +205,11 @@ class Trajectory(eqx.Module):
         )
 
     @property
-    def fastest(self) -> Float[np.ndarray, "h w"]:
-        """How fast the key-frame position of what a pixel sees changes at most, sensor pixels per frame.
-
-        Large where one surface passes in front of another, as the position then jumps from the one to the other.
-        """
+    def speeds(self) -> "Speeds":
+        """How fast the key-frame position of what each pixel sees changes."""
         if self.position.shape[0] == 1:
-            return np.zeros(self.position.shape[2:], np.float32)
-        return np.asarray(_fastest(self.position))
-
-    def fastest_during(
-        self,
-        row: Int[np.ndarray | Array, " n"],
-        column: Int[np.ndarray | Array, " n"],
-        start: Float[np.ndarray | Array, " n"],
-        stop: Float[np.ndarray | Array, " n"],
-    ) -> Float[np.ndarray, " n"]:
-        """`fastest` from start to stop of exposures: of the moments around these, or of all where more lie between."""
-        moments, _, height, width = self.position.shape
-        row, column, start, stop = (np.asarray(v) for v in (row, column, start, stop))
-        pixel = row * np.int32(width) + column
-        if moments == 1:
-            return np.zeros(row.shape, np.float32)
-        # Of each step and the next; in a last row, of all.
-        steps = np.asarray(_speeds(self.position)).reshape(moments, height * width)
-        first = np.clip((start - np.float32(self.first)) / SPACING, 0, moments - 2).astype(np.int32)
-        last = np.clip((stop - np.float32(self.first)) / SPACING, 0, moments - 2).astype(np.int32)
-        which = np.where(last <= first + 1, first, np.int32(moments - 1))
-        return steps.reshape(-1)[which * np.int32(height * width) + pixel]
+            return Speeds(float(self.first), np.zeros((1, *self.position.shape[2:]), np.float32))
+        return Speeds(float(self.first), np.asarray(_speeds(self.position)))
 
     @property
     def unsteady(self) -> Float[np.ndarray, "h w"]:
@@ -261,17 +239,46 @@ def _unsteady(visible: Float[Array, "n h w"]) -> Float[Array, "h w"]:
 
 
 @jax.jit
-def _fastest(position: Float[Array, "n 2 h w"]) -> Float[Array, "h w"]:
-    steps = position[1:] - position[:-1]
-    return jnp.sqrt(jnp.max(jnp.sum(steps**2, axis=1), axis=0)) / SPACING
-
-
-@jax.jit
 def _speeds(position: Float[Array, "n 2 h w"]) -> Float[Array, "n h w"]:
     """The larger of each step's speed and the next one's, then the largest of all, sensor pixels per frame."""
     speed = jnp.sqrt(jnp.sum((position[1:] - position[:-1]) ** 2, axis=1)) / SPACING
     following = jnp.concatenate([speed[1:], speed[-1:]])
     return jnp.concatenate([jnp.maximum(speed, following), speed.max(0)[None]])
+
+
+class Speeds(NamedTuple):
+    """How fast the key-frame position of what a pixel sees changes, sensor pixels per frame.
+
+    Large where one surface passes in front of another, as the position then jumps from the one to the other.
+
+    **Fields:** `first`: time of the first moment; `steps` (n, h, w): from each moment on, over the next two steps; in a
+    last row the largest of all.
+    """
+
+    first: float
+    steps: Float[np.ndarray, "n h w"]
+
+    @property
+    def most(self) -> Float[np.ndarray, "h w"]:
+        """The fastest of all."""
+        return self.steps[-1]
+
+    def during(
+        self,
+        row: Int[np.ndarray | Array, " n"],
+        column: Int[np.ndarray | Array, " n"],
+        start: Float[np.ndarray | Array, " n"],
+        stop: Float[np.ndarray | Array, " n"],
+    ) -> Float[np.ndarray, " n"]:
+        """From start to stop of exposures: the most of the moments around these, or of all where more lie between."""
+        moments, height, width = self.steps.shape
+        row, column, start, stop = (np.asarray(v) for v in (row, column, start, stop))
+        if moments == 1:
+            return np.zeros(row.shape, np.float32)
+        first = np.clip((start - np.float32(self.first)) / SPACING, 0, moments - 2).astype(np.int32)
+        last = np.clip((stop - np.float32(self.first)) / SPACING, 0, moments - 2).astype(np.int32)
+        which = np.where(last <= first + 1, first, np.int32(moments - 1))
+        return self.steps.reshape(-1)[which * np.int32(height * width) + row * np.int32(width) + column]
 
 
 # A point counts as part of a layer if, between pixel centres, this share of it is; from the second share on it counts

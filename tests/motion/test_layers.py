@@ -54,7 +54,7 @@ def test_what_is_behind_is_hidden_by_what_is_in_front():
 def test_intervals_of_a_pixel_that_something_passes_are_not_merged():
     """At rest in the key frame, but hidden at other times: one merged interval would mix what hides it into it."""
     motion = before_a_background((0, 1))
-    fastest = trajectory_of(motion, key=KEY, start=0, stop=FRAMES).fastest
+    fastest = trajectory_of(motion, key=KEY, start=0, stop=FRAMES).speeds.most
     np.testing.assert_allclose(fastest[12:18, 17:23], SPEED, rtol=1e-3)
     assert (fastest[12:18, 27:33] > SPEED).all()  # the square arrives here within 40 frames: the position jumps
     assert not fastest[:8].any() and not fastest[:, 37:].any()

@@ -3,8 +3,8 @@
 From one key frame to the next little changes: what moves goes on moving, what rests has been solved for. So the motion
 of the last picture is carried on along its own trajectories; only which of its layers is seen where is looked at anew.
 It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
-then and carried on with it. The picture and the prior's dual variables are moved along, and the solve goes on from
-there.
+then, and the gains are found, and both are carried on with it. The picture and the prior's dual variables are moved
+along, and the solve goes on from there.
 """
 
 from collections.abc import Generator, Iterable
@@ -13,6 +13,8 @@ from contextlib import closing
 from dataclasses import replace
 from typing import Any, NamedTuple, SupportsIndex, TypeVar
 
+import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
@@ -80,12 +82,14 @@ def sequence(
 
 class _Followed(NamedTuple):
     """The `motion` that was estimated last, at frame `since`, the share of the pixels that contradicted it then,
-    `against`, and the `strength` that was found with it; None where it was not looked for."""
+    `against`, and the `strength` that was found with it, None where it was not looked for; the pixels' `gain`, None
+    for 1."""
 
     motion: Motion
     since: int
     against: float
     strength: float | None
+    gain: Float[np.ndarray, "h w"] | None
 
 
 class _Moment(NamedTuple):
@@ -122,7 +126,7 @@ def _pictures(
             if followed is None or motion is None:
                 prepared = prepare(recording, scale=scale, key=moment, **options, velocity=estimator)
                 λ = float(prepared.rounds.strength) if prepared.asked.validates else None
-                followed = _Followed(prepared.motion, moment, _against(pictures, prepared.motion), λ)
+                followed = _Followed(prepared.motion, moment, _against(pictures, prepared.motion), λ, prepared.gains)
             yield _Moment(moment, pictures, motion, followed), prepared
 
     def ready(
@@ -133,7 +137,8 @@ def _pictures(
             for now, prepared in known:
                 if prepared is None:
                     solver = options.get("solver") or FISTA()
-                    given = {**options, "solver": replace(solver, tolerance=_NEARER * solver.tolerance)}
+                    given = {**options, "gain": now.followed.gain}
+                    given["solver"] = replace(solver, tolerance=_NEARER * solver.tolerance)
                     if now.followed.strength is not None:
                         given["strength"] = now.followed.strength
                     prepared = prepare(recording, scale=scale, key=now.key, **given, velocity=now.carried)
@@ -150,7 +155,9 @@ def _pictures(
                     followed = None
                 elif now.carried is None and solution.motion is not prepared.motion:
                     λ = None if followed.strength is None else solution.stats["strength"]
-                    followed = _Followed(solution.motion, now.key, _against(now.pictures, solution.motion), λ)
+                    followed = _Followed(
+                        solution.motion, now.key, _against(now.pictures, solution.motion), λ, solution.gain
+                    )
                 before = None if followed is None else (now.key, solution)
                 done += 1
                 yield solution

@@ -181,4 +181,4 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
         "seconds": clock.laps,
     }
     stages = tuple(replace(stage, number=n) for n, stage in enumerate(stages, 1))
-    return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, prepared.plan)
+    return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, prepared.plan, prepared.gains)

@@ -363,9 +363,8 @@ def _times_share(
         # Between two known moments; before the first and after the last, theirs.
         at = jnp.interp(tau, known, jnp.arange(known.size, dtype=known.dtype))
         before = jnp.minimum(at.astype(jnp.int32), known.size - 2)
-        pair = jax.lax.dynamic_slice_in_dim(share, before, 2)
-        there = pair[0] + (at - before.astype(at.dtype)) * (pair[1] - pair[0])
-        return visible * bilinear(there[None], q[0], q[1])[0]
+        first, second = (bilinear(share[k][None], q[0], q[1])[0] for k in (before, before + 1))
+        return visible * (first + (at - before.astype(at.dtype)) * (second - first))
 
     return jax.lax.map(one, (visible, position, after))
 

@@ -65,6 +65,7 @@ def _share(
     acceleration: Float[Array, "2 h w"],
     lag: Int[Array, ""],
 ) -> Float[Array, "n h w"]:
+    # Picture by picture, so that what is found of one is still in the cache when it is used.
     values, inside = jax.lax.map(lambda one: along(one[0], one[1], velocity, acceleration), (pictures, moments))
     near = jnp.exp(-0.5 * (moments / _PRESENT) ** 2)[:, None, None] * inside
     # The nearest moment always takes part, however far it is.
@@ -73,17 +74,24 @@ def _share(
 
     # The noise, from pictures a spike interval apart: a geometric mean, so that a few moments that disagree for another
     # reason do not matter.
-    followed = (jnp.arange(values.shape[0]) < values.shape[0] - lag).astype(inside.dtype)
-    both = inside * jnp.roll(inside, -lag, 0) * followed[:, None, None]
-    change = (jnp.roll(values, -lag, 0) - values) ** 2 / 2
-    typical = (both * jnp.log(change + 1e-8)).sum(0) / jnp.maximum(both.sum(0), 1)
-    noise = smooth(jnp.exp(typical) / _GEOMETRIC, jnp.asarray(3.0)) + 1e-6
+    def compare(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        both = inside[k] * inside[k + lag]
+        change = (values[k + lag] - values[k]) ** 2 / 2
+        return sums[0] + both * jnp.log(change + 1e-8), sums[1] + both
 
-    window = jnp.asarray(_NEIGHBOURHOOD)
-    square = smooth((values - present[None]) ** 2 * inside, window) / jnp.maximum(smooth(inside, window), 0.1)
-    error = jnp.maximum(square - _CHANCE * noise[None], 0)
+    nothing = jnp.zeros_like(present)
+    logarithms, compared = jax.lax.fori_loop(0, values.shape[0] - lag, compare, (nothing, nothing))
+    noise = smooth(jnp.exp(logarithms / jnp.maximum(compared, 1)) / _GEOMETRIC, jnp.asarray(3.0)) + 1e-6
     # Presmoothing has averaged the noise of so many pixels, which each sample has in full.
     noise_of_one = noise * (4 * np.pi * _SHARPNESS**2)
-    share = 1 / (1 + _COHERENCE * error / noise_of_one[None])
+    window = jnp.asarray(_NEIGHBOURHOOD)
+
+    def worth(one: tuple[Array, Array]) -> Array:
+        value, inside = one
+        square = smooth((value - present) ** 2 * inside, window) / jnp.maximum(smooth(inside, window), 0.1)
+        error = jnp.maximum(square - _CHANCE * noise, 0)
+        return 1 / (1 + _COHERENCE * error / noise_of_one)
+
+    share = jax.lax.map(worth, (values, inside))
     steady = (velocity == 0).all(0) & (acceleration == 0).all(0) & (share.min(0) >= _STEADY)
     return jnp.where(steady[None], share.mean(0)[None], share)

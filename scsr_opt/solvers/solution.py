@@ -77,6 +77,7 @@ class Solution:
     - `motion`: the motion that was used; None where there was none to use.
     - `state`: what is needed to go on from here (warm start).
     - `plan`: what each part of the scene asked for (`scsr_opt.skip.Plan`); None where nothing was skipped.
+    - `gain`: (h, w), of each sensor pixel, as handed in or found (`scsr_opt.reconstruct`); None where it is 1.
     """
 
     image: Float[np.ndarray, "H W"]
@@ -86,6 +87,7 @@ class Solution:
     motion: Motion | None = None
     state: Any = None
     plan: Plan | None = None
+    gain: Float[np.ndarray, "h w"] | None = None
 
     @property
     def velocity(self) -> Float[np.ndarray, "2 h w"] | None:

@@ -11,7 +11,7 @@ the peak signal-to-noise ratios where the truth is known.
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from statistics import median
 from typing import NamedTuple
 
@@ -25,9 +25,9 @@ from scsr_opt.camera import Intervals, Sensor, read_recording, simulate
 from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Static, Translation, TurningDisc
 from scsr_opt.demo import psnr
 from scsr_opt.errors import InputError
-from scsr_opt.motion import Automatic, estimate_motion
+from scsr_opt.motion import Automatic, Motion, estimate_motion
 from scsr_opt.operators import Aperture
-from scsr_opt.placing import measured, stream_around
+from scsr_opt.placing import Stream, measured, stream_around
 from scsr_opt.priors import default_prior
 from scsr_opt.skip import TILE
 
@@ -72,16 +72,24 @@ def excess(case: Case, full: Solution, other: Solution) -> float:
     motion = estimate_motion(
         stream.spikes, key=stream.key, white_rate=stream.white_rate, estimator=Automatic(skip=False)
     )
-    placed = measured(stream, motion, scale=case.scale, measuring=Intervals(), merge=False).placed
-    aperture, prior = Aperture(full.image.shape, case.scale), default_prior(case.scale)
+    objective = unskipped(stream, motion, case.scale, full.stats["strength"])
+    return objective(other.image) / objective(full.image) - 1
+
+
+def unskipped(
+    stream: Stream, motion: Motion, scale: int, strength: float, gain: Float[np.ndarray, "h w"] | None = None
+) -> Callable[[Float[np.ndarray, "H W"]], float]:
+    """The objective, of pictures, that nothing was skipped in."""
+    _, height, width = stream.spikes.shape
+    placed = measured(stream, motion, scale=scale, measuring=Intervals(), gain=gain, merge=False).placed
+    aperture, prior = Aperture((scale * height, scale * width), scale), default_prior(scale)
 
     def objective(image: Float[np.ndarray, "H W"]) -> float:
         missed = placed.read(aperture(jnp.asarray(image))) - placed.value
         data_part = 0.5 * jnp.sum(placed.weight * missed**2)
-        return float(data_part + full.stats["strength"] * prior.value(jnp.asarray(image)))
+        return float(data_part + strength * prior.value(jnp.asarray(image)))
 
-    least = objective(full.image)
-    return objective(other.image) / least - 1
+    return objective
 
 
 def tile_change(first: Float[np.ndarray, "H W"], second: Float[np.ndarray, "H W"], scale: int) -> float:

@@ -41,9 +41,9 @@ _OLDEST = 100
 # And as long as no more pixels contradict it than did when it was estimated, times this, and this share of all: on that
 # recording 9, 10, 16, 19, 23, 24 and 26 % did after 0, 5, 20, 40, 60, 80 and 100 frames.
 _MORE, _SHARE = 3.0, 0.005
-# Going on from the picture before, a residual of so many tolerances leaves as much of the objective (0.005 %) as one
-# from scratch: what is left to be found is smoother than what playback lacks.
-_NEARER = 2.0
+# Going on from the picture before, a residual of so many tolerances leaves about as much of the objective (0.002 to
+# 0.004 %, and from scratch 0.001 to 0.004 %) as one tolerance does from scratch.
+_NEARER = 1.5
 # After the last of the items.
 _END: Any = object()
 Item = TypeVar("Item")
@@ -59,7 +59,7 @@ def sequence(
 
     **Arguments:**
     - `spikes`, `scale`, `options`: as of `reconstruct`; without `key` and `state`, and `velocity` None or an
-      `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
+      `Estimator`. A picture whose motion is carried on is solved for to 1.5 times the solver's tolerance, from nearer.
     - `keys`: frames, best in order and a few frames apart.
 
     **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity 1 = white. Where

@@ -34,14 +34,14 @@ from scsr_opt.reconstruction import solve
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Solution
 
-# A motion is carried on for so many frames at most: until it has nothing left in view of what it was estimated from. On
-# a recording of a car passing, moving pixels that were held out were predicted as well as by a motion estimated anew
+# A motion is carried on for so many frames at most: as long as some of those it was estimated from are used. On a
+# recording of a car passing, moving pixels that were held out were predicted as well as by a motion estimated anew
 # after 5, 20, 40, 60, 80 and 100 frames (docs/measurements.md).
 _OLDEST = 100
 # And as long as no more pixels contradict it than did when it was estimated, times this, and this share of all: on that
 # recording 9, 10, 16, 19, 23, 24 and 26 % did after 0, 5, 20, 40, 60, 80 and 100 frames.
 _MORE, _SHARE = 3.0, 0.005
-# Going on from the picture before, a residual of so many tolerances leaves about as much of the objective (0.002 to
+# Going on from the picture before, a residual of so many tolerances leaves about as much of the objective (0.003 to
 # 0.004 %, and from scratch 0.001 to 0.004 %) as one tolerance does from scratch.
 _NEARER = 1.5
 # After the last of the items.

@@ -23,7 +23,7 @@ from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.camera.threads import in_threads
-from scsr_opt.motion.trajectory import bilinear
+from scsr_opt.motion.inverse import bilinear
 
 Found = TypeVar("Found")
 

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse, seen_at
+from scsr_opt.motion.inverse import bilinear, inverse
+from scsr_opt.motion.trajectory import Layers, Motion, seen_at
 
 
 def carry(motion: Motion, frames: float | int) -> Motion:

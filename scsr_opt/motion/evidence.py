@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.motion.alignment import Drift, Stretches, drift, smooth
-from scsr_opt.motion.trajectory import Motion, bilinear, seen_at
+from scsr_opt.motion.inverse import bilinear
+from scsr_opt.motion.trajectory import Motion, seen_at
 
 # A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
 # (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on

@@ -21,8 +21,9 @@ from scipy import ndimage
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.alignment import Stretches, along, drift
 from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
+from scsr_opt.motion.inverse import bilinear, inverse
 from scsr_opt.motion.parametric import generators, parametric
-from scsr_opt.motion.trajectory import Layers, Motion, bilinear, inverse
+from scsr_opt.motion.trajectory import Layers, Motion
 
 # Layers besides the background that are looked for, and the fewest sensor pixels one may have.
 _MOST = 3

@@ -15,7 +15,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.alignment import Stretches
-from scsr_opt.motion.trajectory import Motion, bilinear
+from scsr_opt.motion.inverse import bilinear
+from scsr_opt.motion.trajectory import Motion
 
 # (frames from the key frame that take part, presmoothing in sensor pixels, most Gauss–Newton steps): from near and
 # blurred to everything and sharp.

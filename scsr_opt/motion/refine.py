@@ -23,8 +23,9 @@ from jaxtyping import Array, Float, Int
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
 from scsr_opt.motion.alignment import smooth
+from scsr_opt.motion.inverse import bilinear
 from scsr_opt.motion.parametric import generators
-from scsr_opt.motion.trajectory import Layers, Motion, bilinear
+from scsr_opt.motion.trajectory import Layers, Motion
 from scsr_opt.operators.sampling import PlacedSamples, moments
 
 # Samples that a motion of few numbers is refined on, evenly taken from all: 10⁵ to a number would add nothing.

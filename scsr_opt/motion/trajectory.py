@@ -15,6 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt.motion.inverse import (
+    ROUNDING,
+    affine_field,
+    affine_numbers,
+    bilinear,
+    from_affine,
+    inverse,
+    inverse_at,
+)
+
 # Frames between two moments at which the inverse is computed. Between them it is taken as straight; with an
 # acceleration a that is wrong by at most a·(spacing)²/8, a thousandth of a pixel for a turn of 0.01 rad per frame at
 # radius 10.
@@ -48,9 +58,9 @@ class Layers(eqx.Module):
         def continued(fields: np.ndarray, around: np.ndarray) -> np.ndarray:
             wide = np.pad(fields, ((0, 0), (0, 0), *beyond), mode="edge")
             for one, field in zip(wide, fields, strict=True):
-                off, numbers = _from_affine(field)
-                if off <= _ROUNDING * np.abs(field).max():  # which is worth keeping: see `inverse`
-                    one[:] = _affine_field(numbers, height, width, sides[0][0], sides[1][0])
+                off, numbers = from_affine(field)
+                if off <= ROUNDING * np.abs(field).max():  # which is worth keeping: see `inverse`
+                    one[:] = affine_field(numbers, height, width, sides[0][0], sides[1][0])
             return np.concatenate([wide[:ground], around[None], wide[ground + 1 :]])
 
         label = np.full((height, width), ground, np.int32)
@@ -323,7 +333,7 @@ def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
     member = (layers.label == nearest[:, None, None]).astype(np.float32)
     longest = float(jnp.max(jnp.abs(after)))
-    affine = [_affine(v, a, longest) for v, a in zip(velocity, acceleration, strict=True)]
+    affine = [affine_numbers(v, a, longest) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
     return _seen(velocity, acceleration if acceleration.any() else None, plain, numbers, member, after)
 
@@ -344,7 +354,7 @@ def _seen(
         part = jnp.full(velocity.shape[2:], -1, velocity.dtype)
         for k in range(len(velocity)):
             faster = None if acceleration is None else acceleration[k]
-            here = _inverse(velocity[k], faster, affine[k], numbers[k], tau)
+            here = inverse_at(velocity[k], faster, affine[k], numbers[k], tau)
             belongs = bilinear(member[k][None], here[0], here[1])[0]
             # Where no layer is certain, the one that is most so far counts.
             better = (part <= _PART) & (belongs > part)
@@ -380,126 +390,3 @@ def _times_share(
         return visible * (first + (at - before.astype(at.dtype)) * (second - first))
 
     return jax.lax.map(one, (visible, position, after))
-
-
-# Fixed-point iterations of `inverse`, and the change, sensor pixels, after which no more are done.
-_REFINEMENTS, _STILL = 8, 1e-4
-
-
-def inverse(
-    velocity: Float[Array | np.ndarray, "2 h w"],
-    acceleration: Float[Array | np.ndarray, "2 h w"],
-    after: Float[Array, " n"],
-) -> Float[Array, "n 2 h w"]:
-    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`: at once where the motion is affine, else by
-    fixed-point iteration from q = p.
-
-    The error shrinks by ‖∇d‖ each time, which is the relative change of displacement from pixel to pixel: well under ½
-    but for motion boundaries, where the inverse is not unique anyway. It ends when nothing moves by `_STILL` any more,
-    or after `_REFINEMENTS`.
-    """
-    velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
-    affine, numbers = _affine(velocity, acceleration, float(jnp.max(jnp.abs(after))))
-    # Looking up takes most of the time, and a field of zeros need not be.
-    return _inverses(velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after)
-
-
-def _affine(
-    velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"], longest: float
-) -> tuple[bool, Float[np.ndarray, "2 2 3"]]:
-    """Whether a motion is affine, but for what moves nothing by `_STILL` in so many frames, and the numbers of velocity
-    and acceleration."""
-    (off, numbers), (more, others) = _from_affine(velocity), _from_affine(acceleration)
-    return off * longest + more * longest**2 / 2 <= _STILL, np.stack([numbers, others])
-
-
-# By how much an affine field may be off by rounding, of its largest value.
-_ROUNDING = 1e-5
-
-
-def _from_affine(field: Float[np.ndarray, "2 h w"]) -> tuple[float, Float[np.ndarray, "2 3"]]:
-    """How far a field is from the affine one through three of its corners, and that one's numbers, down and right: at
-    pixel (0, 0), and their change from row to row and from column to column."""
-    height, width = field.shape[1:]
-    corner = field[:, 0, 0]
-    down, right = (field[:, -1, 0] - corner) / max(height - 1, 1), (field[:, 0, -1] - corner) / max(width - 1, 1)
-    numbers = np.stack([corner, down, right], axis=1).astype(np.float32)
-    if not field.any():
-        return 0.0, numbers
-    return float(np.abs(field - _affine_field(numbers, height, width)).max()), numbers
-
-
-def _affine_field(
-    numbers: Float[np.ndarray, "2 3"], height: int, width: int, top: int = 0, left: int = 0
-) -> Float[np.ndarray, "2 h w"]:
-    """The affine field with these numbers, whose pixel (0, 0) lies at (`top`, `left`) of the picture."""
-    rows = np.arange(height, dtype=np.float32)[:, None] - np.float32(top)
-    columns = np.arange(width, dtype=np.float32) - np.float32(left)
-    return np.stack([begin + down * rows + right * columns for begin, down, right in numbers])
-
-
-@jax.jit
-def _inverses(
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"] | None,
-    affine: Bool[Array, ""],
-    numbers: Float[Array, "2 2 3"],
-    after: Float[Array, " n"],
-) -> Float[Array, "n 2 h w"]:
-    return jax.lax.map(lambda tau: _inverse(velocity, acceleration, affine, numbers, tau), after)
-
-
-def _inverse(
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"] | None,
-    affine: Bool[Array, ""],
-    numbers: Float[Array, "2 2 3"],
-    tau: Float[Array, ""],
-) -> Float[Array, "2 h w"]:
-    """`inverse` for one moment; `acceleration` None for one of zero; `affine` and `numbers` as `_affine` finds them."""
-    here = jnp.indices(velocity.shape[1:], velocity.dtype)
-    field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])
-
-    def displaced(found: Float[Array, "c h w"]) -> Float[Array, "2 h w"]:
-        displacement = found[:2] * tau
-        return here - (displacement if acceleration is None else displacement + found[2:] * (0.5 * tau**2))
-
-    def refine(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        q, done, _ = carry
-        better = displaced(bilinear(field, q[0], q[1]))
-        return better, done + 1, jnp.max(jnp.abs(better - q))
-
-    def go_on(carry: tuple[Array, Array, Array]) -> Array:
-        return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
-
-    def solved() -> Float[Array, "2 h w"]:
-        # q + d + D q = p, d and D those of the moment.
-        of = numbers[0] * tau + numbers[1] * (0.5 * tau**2)
-        (a, b), (c, d) = jnp.eye(2, dtype=of.dtype) + of[:, 1:]
-        down, right = here[0] - of[0, 0], here[1] - of[1, 0]
-        determinant = a * d - b * c
-        return jnp.stack([(d * down - b * right) / determinant, (a * right - c * down) / determinant])
-
-    begin = here, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
-    return jax.lax.cond(affine, solved, lambda: jax.lax.while_loop(go_on, refine, begin)[0])
-
-
-def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:
-    """`field` at (row, column), clamped to its border. A position that is not a number reads the border."""
-    height, width = field.shape[1:]
-    row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    top = jnp.clip(row.astype(jnp.int32), 0, max(height - 2, 0))
-    left = jnp.clip(column.astype(jnp.int32), 0, max(width - 2, 0))
-    down, right = row - top.astype(row.dtype), column - left.astype(column.dtype)
-    # Indices into the flattened picture: half the time of indexing by row and column.
-    flat, corner = field.reshape(field.shape[0], -1), top * width + left
-    below, beside = (width if height > 1 else 0), (1 if width > 1 else 0)
-
-    down, right = down[None], right[None]
-
-    def at(offset: int) -> Float[Array, "c ..."]:
-        return flat.at[:, corner + offset].get(mode="promise_in_bounds")
-
-    upper = at(0) + right * (at(beside) - at(0))
-    lower = at(below) + right * (at(below + beside) - at(below))
-    return upper + down * (lower - upper)

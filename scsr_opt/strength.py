@@ -253,7 +253,8 @@ def _chosen(
     places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
     parts = [(slice(row, min(row + side, height)), slice(column, min(column + side, width)))
              for row, column in places.tolist()]  # fmt: skip
-    parts = [part for part in parts if good[part].mean() >= good.mean() / 2] or parts
+    enough = good.mean() / 2
+    parts = [part for part in parts if good[part].mean() >= enough] or parts
     rich = np.array([contrast[part].sum() / max(good[part].sum(), 1) for part in parts])
     fitting = max(1, good.size // (min(side, height) * min(side, width)))
     groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), _PARTS))

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.rates import interval_rates
@@ -41,21 +41,35 @@ class Stretches:
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
     counted: Float[Array, "n h w"] | None = None
-    _known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+    _known: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    _presmoothed: dict[Any, "Stretches"] = field(default_factory=dict, init=False, repr=False)
 
-    def presmoothed(self, sigma: float | int) -> "Stretches":
+    def presmoothed(self, sigma: float | int, reach: float | int = np.inf) -> "Stretches":
         """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken.
 
-        Made once for each `sigma`: nearly everything that looks at pictures asks for the same few."""
+        Where less than half of them lie within `reach` frames of the key frame, the others are zeros. Made once for
+        each `sigma` otherwise: nearly everything that looks at pictures asks for the same few."""
+        near = np.flatnonzero(np.abs(np.asarray(self.after)) <= reach)
+        few = 0 < near.size < self.after.size / 2
+        begin, end = (int(near[0]), int(near[-1]) + 1) if few else (0, self.after.size)
 
         def made() -> Stretches:
-            halves = np.array_split(np.asarray(self.picture), 2)
-            blurred = in_threads(lambda part: gaussian_filter(part, sigma, axes=(1, 2), mode="nearest"), halves)
-            return Stretches(jnp.asarray(np.concatenate(blurred)), self.after, self.firing)
+            pictures = np.asarray(self.picture)
+            blurred = np.zeros_like(pictures)
 
-        return self.once(("presmoothed", sigma), made)
+            def blur(moments: Int[np.ndarray, " some"]) -> None:
+                some = slice(moments[0], moments[-1] + 1)
+                gaussian_filter(pictures[some], sigma, axes=(1, 2), mode="nearest", output=blurred[some])
 
-    def once(self, what: Any, found: Callable[[], Found]) -> Found:
+            in_threads(blur, [half for half in np.array_split(np.arange(begin, end), 2) if half.size])
+            return Stretches(jnp.asarray(blurred), self.after, self.firing)
+
+        which = (float(sigma), begin, end)
+        if which not in self._presmoothed:
+            self._presmoothed[which] = made()
+        return self._presmoothed[which]
+
+    def once(self, what: str, found: Callable[[], Found]) -> Found:
         """What is `found` about these pictures, the first time that it is asked for."""
         if what not in self._known:
             self._known[what] = found()
@@ -69,7 +83,9 @@ class Stretches:
         """The pictures of a part of the sensor."""
         firing = None if self.firing is None else self.firing[rows, columns]
         counted = None if self.counted is None else self.counted[:, rows, columns]
-        return Stretches(self.picture[:, rows, columns], self.after, firing, counted)
+        part = Stretches(self.picture[:, rows, columns], self.after, firing, counted)
+        part._presmoothed.update({which: found.part(rows, columns) for which, found in self._presmoothed.items()})
+        return part
 
 
 def stretches(

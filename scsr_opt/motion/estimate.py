@@ -177,7 +177,7 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     noise = typical_noise(part, everywhere)
 
     def predicts(motion: Motion) -> Missed:
-        return missed(part, motion, noise).part(*judged)
+        return missed(part, motion, noise, sparse=skip).part(*judged)
 
     by_pixel = predicts(everywhere)
     # An object that does not accelerate lost 0.9 dB by the freedom to; where something does, one turn shows it.

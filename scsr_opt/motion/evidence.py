@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.motion.alignment import Drift, Stretches, drift, smooth
+from scsr_opt.motion.alignment import Drift, Stretches, along, drift, smooth
 from scsr_opt.motion.inverse import bilinear
 from scsr_opt.motion.trajectory import Motion, seen_at
 
@@ -39,10 +39,16 @@ def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]
 
 def heard(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where pixels fire often enough to contradict this motion, see above."""
-    if pictures.firing is None:
-        return np.ones(motion.speed.shape, bool)
-    firing = np.asarray(smooth(pictures.firing, jnp.asarray(_WINDOW)))
-    return motion.speed <= _SMEAR * firing
+    firing = _firing_around(pictures)
+    return np.ones(motion.speed.shape, bool) if firing is None else motion.speed <= _SMEAR * firing
+
+
+def _firing_around(pictures: Stretches) -> Float[np.ndarray, "h w"] | None:
+    """Spikes per frame in each pixel's window, if known."""
+    firing = pictures.firing
+    if firing is None:
+        return None
+    return pictures.once("firing around", lambda: np.asarray(smooth(firing, jnp.asarray(_WINDOW))))
 
 
 def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
@@ -53,9 +59,9 @@ def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarr
         evidence, drifted, least = _evidence(pictures, None)
         moving = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
         certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
-        if pictures.firing is not None:
-            span = pictures.after[-1] - pictures.after[0]
-            certain &= smooth(pictures.firing, jnp.asarray(_WINDOW)) * span >= _SPIKES
+        firing = _firing_around(pictures)
+        if firing is not None:
+            certain &= firing * (pictures.after[-1] - pictures.after[0]) >= _SPIKES
         return moving, np.asarray(certain)
 
     return pictures.once("at rest", found)
@@ -64,9 +70,27 @@ def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarr
 def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:
     """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels."""
     smoothed = pictures.presmoothed(sharpness)
-    along = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    now = drift(smoothed.picture, smoothed.after, jnp.ones_like(smoothed.after), along)
-    return np.asarray(now.residual / jnp.maximum(now.seen, 1))
+    velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
+    return np.asarray(_variance(smoothed.picture, smoothed.after, velocity, acceleration))
+
+
+@jax.jit
+def _variance(
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+) -> Float[Array, "h w"]:
+    """`Drift.residual` over `Drift.seen`, in two thirds of the time."""
+    about = pictures[jnp.argmin(jnp.abs(after))]
+
+    def add(k: Array, sums: tuple[Array, ...]) -> tuple[Array, ...]:
+        value, inside = along(pictures[k], after[k], velocity, acceleration)
+        value = (value - about) * inside
+        return sums[0] + inside, sums[1] + value, sums[2] + value**2
+
+    seen, total, squares = jax.lax.fori_loop(0, after.size, add, (jnp.zeros_like(about),) * 3)
+    return jnp.maximum(squares - total**2 / jnp.maximum(seen, 1e-6), 0) / jnp.maximum(seen, 1)
 
 
 def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> float:
@@ -104,22 +128,23 @@ def counts_agree(pictures: Stretches, motion: Motion) -> bool:
 _NEAR = 10.0
 # A squared error counts up to so many times the noise: what is hidden without anybody knowing says little more.
 _MISSED = 6.0
-# One picture in so many is predicted: enough to compare motions.
-_EVERY = 3
+# One picture in so many is predicted, and where work is to be skipped one row and column in so many of it: enough to
+# compare motions.
+_EVERY, _SPARSE = 3, 2
 
 
 class Missed(NamedTuple):
     """How well a motion predicts pictures from those near the key frame, for every third picture.
 
-    **Fields:** `error` (n, h, w), squared, in units of the noise, cut off; `seen` (n, h, w), how far the motion says
-    that what a pixel shows is visible in the key frame.
+    **Fields:** `error` (n, h', w'), squared, in units of the noise, cut off; `seen` (n, h', w'), how far the motion
+    says that what a pixel shows is visible in the key frame.
     """
 
-    error: Float[np.ndarray, "n h w"]
-    seen: Float[np.ndarray, "n h w"]
+    error: Float[np.ndarray, "n rows columns"]
+    seen: Float[np.ndarray, "n rows columns"]
 
     def part(self, rows: slice, columns: slice) -> "Missed":
-        """On a part of the sensor."""
+        """On some rows and columns."""
         return Missed(self.error[:, rows, columns], self.seen[:, rows, columns])
 
     @property
@@ -128,26 +153,29 @@ class Missed(NamedTuple):
         return float(np.mean(self.seen * self.error + (1 - self.seen) * _MISSED))
 
 
-def missed(pictures: Stretches, motion: Motion, noise: float) -> Missed:
-    """What a motion misses of the pictures; `noise`: their typical variance along a good motion."""
+def missed(pictures: Stretches, motion: Motion, noise: float, *, sparse: bool = False) -> Missed:
+    """What a motion misses of the pictures, at every pixel or a sparse grid of them; `noise`: their typical variance
+    along a good motion."""
+    every = _SPARSE if sparse else 1
     smoothed = pictures.presmoothed(1.0)
     after = np.asarray(smoothed.after)
     near = (jnp.abs(smoothed.after) <= max(_NEAR, float(np.abs(after).min()))).astype(jnp.float32)
     velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
     present = drift(smoothed.picture, smoothed.after, near, (velocity, acceleration)).mean
-    position, visible = seen_at(motion, smoothed.after[::_EVERY])
-    error, visible = _missed(smoothed.picture[::_EVERY], position, visible, present, jnp.asarray(noise, jnp.float32))
+    position, visible = seen_at(motion, smoothed.after[::_EVERY], every=every)
+    shown = smoothed.picture[::_EVERY, ::every, ::every]
+    error, visible = _missed(shown, position, visible, present, jnp.asarray(noise, jnp.float32))
     return Missed(np.asarray(error), np.asarray(visible))
 
 
 @jax.jit
 def _missed(
-    pictures: Float[Array, "n h w"],
-    position: Float[Array, "n 2 h w"],
-    visible: Float[Array, "n h w"],
+    pictures: Float[Array, "n rows columns"],
+    position: Float[Array, "n 2 rows columns"],
+    visible: Float[Array, "n rows columns"],
     present: Float[Array, "h w"],
     noise: Float[Array, ""],
-) -> tuple[Float[Array, "n h w"], Float[Array, "n h w"]]:
+) -> tuple[Float[Array, "n rows columns"], Float[Array, "n rows columns"]]:
     height, width = present.shape
 
     def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -3,6 +3,8 @@
 That is q + d(q, τ) = p with d = v τ + ½ a τ²: at once where the motion is affine, else by fixed-point iteration.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +18,11 @@ def inverse(
     velocity: Float[Array | np.ndarray, "2 h w"],
     acceleration: Float[Array | np.ndarray, "2 h w"],
     after: Float[Array, " n"],
-) -> Float[Array, "n 2 h w"]:
-    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p and τ in `after`: at once where the motion is affine, else by
-    fixed-point iteration from q = p.
+    *,
+    every: int = 1,
+) -> Float[Array, "n 2 rows columns"]:
+    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p, or those of one row and column in so many, and τ in `after`:
+    at once where the motion is affine, else by fixed-point iteration from q = p.
 
     The error shrinks by ‖∇d‖ each time, which is the relative change of displacement from pixel to pixel: well under ½
     where a motion is smooth. Where it is not, as at its boundaries, what is given means nothing; of a dense estimate
@@ -29,7 +33,9 @@ def inverse(
     velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
     affine, numbers = affine_numbers(velocity, acceleration, float(jnp.max(jnp.abs(after))))
     # Looking up takes most of the time, and a field of zeros need not be.
-    return _inverses(velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after)
+    return _inverses(
+        velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after, every
+    )
 
 
 def affine_numbers(
@@ -66,15 +72,16 @@ def affine_field(
     return np.stack([begin + down * rows + right * columns for begin, down, right in numbers])
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="every")
 def _inverses(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,
     affine: Bool[Array, ""],
     numbers: Float[Array, "2 2 3"],
     after: Float[Array, " n"],
-) -> Float[Array, "n 2 h w"]:
-    return jax.lax.map(lambda tau: inverse_at(velocity, acceleration, affine, numbers, tau), after)
+    every: int,
+) -> Float[Array, "n 2 rows columns"]:
+    return jax.lax.map(lambda tau: inverse_at(velocity, acceleration, affine, numbers, tau, every), after)
 
 
 def inverse_at(
@@ -83,12 +90,13 @@ def inverse_at(
     affine: Bool[Array, ""],
     numbers: Float[Array, "2 2 3"],
     tau: Float[Array, ""],
-) -> Float[Array, "2 h w"]:
+    every: int,
+) -> Float[Array, "2 rows columns"]:
     """`inverse` for one moment; `acceleration` None for one of zero; `affine`, `numbers` as by `affine_numbers`."""
-    here = jnp.indices(velocity.shape[1:], velocity.dtype)
+    here = jnp.indices(velocity.shape[1:], velocity.dtype)[:, ::every, ::every]
     field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])
 
-    def displaced(found: Float[Array, "c h w"]) -> Float[Array, "2 h w"]:
+    def displaced(found: Float[Array, "c rows columns"]) -> Float[Array, "2 rows columns"]:
         displacement = found[:2] * tau
         return here - (displacement if acceleration is None else displacement + found[2:] * (0.5 * tau**2))
 
@@ -100,7 +108,7 @@ def inverse_at(
     def go_on(carry: tuple[Array, Array, Array]) -> Array:
         return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
 
-    def solved() -> Float[Array, "2 h w"]:
+    def solved() -> Float[Array, "2 rows columns"]:
         # q + d + D q = p, d and D those of the moment.
         of = numbers[0] * tau + numbers[1] * (0.5 * tau**2)
         (a, b), (c, d) = jnp.eye(2, dtype=of.dtype) + of[:, 1:]

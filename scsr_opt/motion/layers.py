@@ -217,9 +217,9 @@ def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray
 
 def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
     """The velocities that most pixels of a region are near to, by confidence: a mean would mix right and wrong ones."""
-    velocity, weight = motion.velocity[:, region].T, motion.confidence[region] + 1e-3
-    every = max(1, len(velocity) // 500)
-    some, weight = velocity[::every], weight[::every]
+    places = np.flatnonzero(region)
+    places = np.unravel_index(places[:: max(1, places.size // 500)], region.shape)
+    some, weight = motion.velocity[:, *places].T, motion.confidence[places] + 1e-3
     distance = ((some[:, None] - some[None]) ** 2).sum(-1)
     votes = np.exp(-0.5 * distance / _ALIKE**2) @ weight
     found = []

@@ -323,11 +323,14 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
     return Trajectory(jnp.asarray(moments[0]), position, _believed(motion.trust, visible, position, after))
 
 
-def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
-    """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there."""
+def seen_at(
+    motion: Motion, after: Float[Array, " n"], *, every: int = 1
+) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
+    """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there; with
+    `every`, of one row and column in so many."""
     layers = motion.layers
     if layers is None:
-        position = inverse(motion.velocity, motion.acceleration, after)
+        position = inverse(motion.velocity, motion.acceleration, after, every=every)
         return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
     nearest = np.argsort(-layers.depth, kind="stable")
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
@@ -335,10 +338,10 @@ def seen_at(motion: Motion, after: Float[Array, " n"]) -> tuple[Float[Array, "n 
     longest = float(jnp.max(jnp.abs(after)))
     affine = [affine_numbers(v, a, longest) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
-    return _seen(velocity, acceleration if acceleration.any() else None, plain, numbers, member, after)
+    return _seen(velocity, acceleration if acceleration.any() else None, plain, numbers, member, after, every)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="every")
 def _seen(
     velocity: Float[Array, "layers 2 h w"],
     acceleration: Float[Array, "layers 2 h w"] | None,
@@ -346,15 +349,16 @@ def _seen(
     numbers: Float[Array, "layers 2 2 3"],
     member: Float[Array, "layers h w"],
     after: Float[Array, " n"],
-) -> tuple[Float[Array, "n 2 h w"], Float[Array, "n h w"]]:
+    every: int,
+) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
     """`seen_at` of layers, the nearest first; moment by moment, so that pictures stay in the cache."""
+    nowhere = jnp.zeros_like(velocity[0, :, ::every, ::every])
 
-    def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 h w"], Float[Array, "h w"]]:
-        position = jnp.zeros(velocity.shape[1:], velocity.dtype)
-        part = jnp.full(velocity.shape[2:], -1, velocity.dtype)
+    def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
+        position, part = nowhere, jnp.full_like(nowhere[0], -1)
         for k in range(len(velocity)):
             faster = None if acceleration is None else acceleration[k]
-            here = inverse_at(velocity[k], faster, affine[k], numbers[k], tau)
+            here = inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every)
             belongs = bilinear(member[k][None], here[0], here[1])[0]
             # Where no layer is certain, the one that is most so far counts.
             better = (part <= _PART) & (belongs > part)

@@ -57,10 +57,9 @@ def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tupl
     by_chance = _by_chance(pictures)
     for which, (reach, sigma, window, steps) in schedule:
         # Three moments at least, however far apart they are.
-        reach = max(reach, float(distance[min(2, distance.size - 1)]))
-        part = (jnp.abs(pictures.after) <= reach).astype(jnp.float32)
+        part = (jnp.abs(pictures.after) <= max(reach, distance[min(2, distance.size - 1)])).astype(jnp.float32)
         field, information = _refine(
-            pictures.presmoothed(sigma, reach).picture,
+            pictures.presmoothed(sigma).picture,
             pictures.after,
             part,
             field,

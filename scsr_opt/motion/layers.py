@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy import ndimage
 
 from scsr_opt.camera.threads import in_threads
-from scsr_opt.motion.alignment import Stretches, along, drift
+from scsr_opt.motion.alignment import Stretches, along, drift, smooth
 from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
 from scsr_opt.motion.inverse import bilinear, inverse
 from scsr_opt.motion.parametric import generators, parametric
@@ -60,9 +60,11 @@ _FASTEST = 1.5
 _EVERY = 3
 # A part of a layer is given to one that makes up so much of the edge around it, if that mismatches by so little more.
 _AROUND, _UNDECIDED = 0.25, 0.15
-# What a pixel gains by agreeing with its neighbourhood, in the same units, and the neighbourhood's radius.
+# What a pixel gains by agreeing with its neighbourhood, in the same units, the neighbourhood's radius, and how often
+# neighbours are asked.
 _TOGETHER = 1.4
 _NEIGHBOURHOOD = 1.5
+_TURNS = 12
 
 
 def layered(
@@ -245,17 +247,28 @@ def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h 
 
 
 def _label(mismatches: list[Float[np.ndarray, "h w"]]) -> Int[np.ndarray, "h w"]:
-    """The layer of each key-frame pixel: least mismatch, together with its neighbours (iterated conditional modes)."""
+    """The layer of each key-frame pixel: least mismatch, together with its neighbours."""
     mismatch = np.stack(mismatches)
-    cost = mismatch + _PREFERENCE * np.arange(len(mismatch))[:, None, None]
-    label = cost.argmin(0)
-    for _ in range(12):
-        shares = [ndimage.gaussian_filter((label == k).astype(np.float32), _NEIGHBOURHOOD) for k in range(1, len(cost))]
-        around = np.stack([1 - sum(shares, start=np.zeros_like(mismatch[0])), *shares])
-        before, label = label, (cost - _TOGETHER * around).argmin(0)
-        if np.array_equal(label, before):
-            break
-    return _joined(label, mismatch)
+    return _joined(np.asarray(_agreed(mismatch)), mismatch)
+
+
+@jax.jit
+def _agreed(mismatch: Float[Array, "layers h w"]) -> Int[Array, "h w"]:
+    """The layer of least mismatch, the neighbourhood's layers considered (iterated conditional modes)."""
+    numbers = jnp.arange(len(mismatch))[:, None, None]
+    cost = mismatch + _PREFERENCE * numbers.astype(mismatch.dtype)
+
+    def turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        label, done, _ = carry
+        around = smooth((label[None] == numbers).astype(cost.dtype), jnp.asarray(_NEIGHBOURHOOD))
+        again = jnp.argmin(cost - _TOGETHER * around, axis=0)
+        return again, done + 1, jnp.any(again != label)
+
+    def go_on(carry: tuple[Array, Array, Array]) -> Array:
+        return (carry[1] < _TURNS) & carry[2]
+
+    begin = jnp.argmin(cost, axis=0), jnp.zeros((), jnp.int32), jnp.asarray(True)
+    return jax.lax.while_loop(go_on, turn, begin)[0]
 
 
 def _joined(label: Int[np.ndarray, "h w"], mismatch: Float[np.ndarray, "layers h w"]) -> Int[np.ndarray, "h w"]:

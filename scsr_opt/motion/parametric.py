@@ -99,7 +99,7 @@ def parametric(
             continue
         begin, end = int(near[0]), int(near[-1]) + 1
         last = reach == np.inf
-        blurred = pictures.presmoothed(sigma, reach).picture
+        blurred = pictures.presmoothed(sigma).picture
 
         def fit(
             numbers: Float[np.ndarray, "2 8"],

@@ -136,8 +136,9 @@ _EVERY, _SPARSE = 3, 2
 class Missed(NamedTuple):
     """How well a motion predicts pictures from those near the key frame, for every third picture.
 
-    **Fields:** `error` (n, h', w'), squared, in units of the noise, cut off; `seen` (n, h', w'), how far the motion
-    says that what a pixel shows is visible in the key frame.
+    **Fields:** of every pixel or of one row and column in so many, `error` (n, rows, columns), squared, in units of the
+    noise, cut off; `seen` (n, rows, columns), how far the motion says that what a pixel shows is visible in the key
+    frame.
     """
 
     error: Float[np.ndarray, "n rows columns"]

@@ -22,9 +22,10 @@ from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
-from scsr_opt.motion.trajectory import Motion
+from scsr_opt.held_out import MOVED, STRETCH, held_out, light_at_rest
+from scsr_opt.motion.trajectory import Motion, Trajectory
 from scsr_opt.operators.operator import LinearOperator
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
+from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, place, with_exposure
 from scsr_opt.placing import Measurements, Stream, measured
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
@@ -41,11 +42,6 @@ _SMOOTHING = 0.06
 
 # Side of the parts of the picture that λ is validated on, in high-resolution pixels, and how many there are at most.
 _SIDE, _PARTS = 256, 3
-# One sample in so many is held out. Where the scene moves by a sensor pixel, other pixels see what this one sees: all
-# samples of one pixel in five. Where it does not, one stretch of time in five, of so many frames and two intervals at
-# least. Each gap in a pixel's time adds an error at both its ends, which asks for more of a prior than all samples do.
-_MOVED = 1.0
-_SHARE, _STRETCH = 5, 8
 # Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
 # that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
 # by noise alone believed, where it lost more often than not.
@@ -59,6 +55,8 @@ _LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.25, 16.0, 256.0
 _STAND_IN = (0.65, 0.6)
 # Pixels, about, whose intervals tell the noise: their mean square is known to half a percent.
 _SAMPLED = 5_000
+# Samples that have to be kept, and to be held out, for it to tell anything.
+_FEWEST = 100
 # A validation need not be solved to the end.
 _ITERATIONS, _TOLERANCE = 60, 5e-4
 
@@ -185,12 +183,22 @@ def validated_strength(
     moved = motion.moved(len(stream.spikes))
 
     def made(area: tuple[slice, slice]) -> _Part | None:
-        pieces, part, merged = taken, stream.part(*area), False
+        pieces, part, first, merged = taken, stream.part(*area), image[_scaled(area, scale)], False
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
             # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
             if skip and isinstance(measuring, Intervals):
+                if taken.placed.on_sensor and measuring.noise is None:
+                    return _part_at_rest(
+                        part,
+                        taken.path.part(*area),
+                        first,
+                        scale=scale,
+                        ends=measuring.ends,
+                        gain=None if gain is None else gain[area],
+                        optics=optics,
+                    )
                 frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
-                merged = bool(frames_each.mean() <= _STRETCH / 2)
+                merged = bool(frames_each.mean() <= STRETCH / 2)
             pieces = measured(
                 part,
                 taken.path.part(*area),
@@ -198,10 +206,10 @@ def validated_strength(
                 measuring=measuring,
                 gain=None if gain is None else gain[area],
                 merge=skip,
-                longest=_STRETCH if merged else 1,
+                longest=STRETCH if merged else 1,
                 on_sensor=skip,
             )
-        return _split(pieces, moved[area], merged, optics, image[_scaled(area, scale)])
+        return _split(pieces, moved[area], merged, optics, first)
 
     areas = _chosen(image, scale, side, good)
     found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
@@ -230,7 +238,7 @@ def validated_strength(
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2
     best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
-    by_pixel = float(np.mean([(moved[area] >= _MOVED).mean() for area, _ in found]))
+    by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in found]))
     beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
     if learned:
         best = _STAND_IN[0] * best ** _STAND_IN[1]
@@ -282,12 +290,49 @@ def _split(
     optics: LinearOperator | None,
     first: Float[Array, "H W"],
 ) -> _Part | None:
-    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `_held_out`."""
-    held, weight = _held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
-    if np.count_nonzero(weight * held) < 100 or np.count_nonzero(weight * ~held) < 100:
+    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`."""
+    held, weight = held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
+    if min(np.count_nonzero(weight * some) for some in (held, ~held)) < _FEWEST:
         return None
     rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
     return _Part(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), first)
+
+
+def _part_at_rest(
+    part: Stream,
+    path: Trajectory,
+    first: Float[Array, "H W"],
+    *,
+    scale: int,
+    ends: float | int,
+    gain: Float[np.ndarray, "h w"] | None,
+    optics: LinearOperator | None,
+) -> _Part | None:
+    """What `_split` makes of intervals where nothing moves: all that a pixel keeps, and all that is held out of it, is
+    one sample. What is missed then differs from what the intervals are missed by in a number that is the same for all
+    pictures."""
+    frames, height, width = part.spikes.shape
+    rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
+    good = np.float32(1) if part.bad_pixels is None else ~part.bad_pixels
+    over = np.float32(part.white_rate) * (np.float32(1) if gain is None else gain)
+
+    def placed(sums: Float[np.ndarray, "2 h w"]) -> PlacedSamples:
+        light, time = sums
+        samples = Samples(
+            row=rows,
+            column=columns,
+            start=np.zeros(rows.size, np.float32),
+            stop=np.full(rows.size, frames - 1, np.float32),
+            value=(light / np.maximum(time, ends) / over).reshape(-1).astype(np.float32),
+            weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
+        ).padded()
+        shape = (scale * height, scale * width)
+        return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
+
+    kept, held = map(placed, light_at_rest(part.spikes, ends=ends))
+    if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
+        return None
+    return _Part(held, held.weight, with_bound(accumulate(kept, optics=optics)), first)
 
 
 def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
@@ -300,24 +345,6 @@ def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOpe
 def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:
     """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
     return max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
-
-
-def _held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
-    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `merged`: whether samples
-    are stretches of time already where nothing moves."""
-    rows, columns = np.indices(moved.shape)
-    pixel = np.asarray(samples.row) * moved.shape[1] + np.asarray(samples.column)
-    whole = (moved >= _MOVED).reshape(-1)
-    # A knight's move apart: no two neighbours.
-    held = whole[pixel] & ((2 * rows + columns) % _SHARE == 0).reshape(-1)[pixel]
-    if not whole.all():
-        duration = np.asarray(samples.stop - samples.start)
-        typical = 0.0 if merged else float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
-        stretch = (samples.start + samples.stop) / 2 // max(_STRETCH, 2 * typical)
-        # From pixel to pixel another stretch, so that no time is missing.
-        by_time = (stretch.astype(np.int32) + (rows * 7 + columns * 3).reshape(-1)[pixel]) % _SHARE == 0
-        held = np.where(whole[pixel], held, by_time)
-    return np.asarray(held)
 
 
 @eqx.filter_jit

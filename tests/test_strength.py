@@ -13,6 +13,7 @@ from scsr_opt.baselines import tfp_sr
 from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
+from scsr_opt.held_out import STRETCH, held_out, light_at_rest
 from scsr_opt.motion import Motion
 from scsr_opt.motion.handed_in import given
 from scsr_opt.placing import Stream, first_picture, measured
@@ -30,7 +31,6 @@ from scsr_opt.strength import (
     _BEYOND,
     _STAND_IN,
     _chosen,
-    _held_out,
     _vertex,
     noise_of_mean,
     strength_of_noise,
@@ -202,21 +202,21 @@ def test_stretches_of_time_ask_for_the_strength_of_the_intervals_in_them():
     assert of_stretches == pytest.approx(of_intervals, rel=0.1)
 
 
-def test_a_fifth_of_every_pixels_time_is_held_out():
+def test_a_fifth_of_every_pixels_time_isheld_out():
     from scsr_opt.camera.samples import spike_intervals
 
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
-    held = _held_out(samples, np.zeros((48, 48), np.float32))
+    held = held_out(samples, np.zeros((48, 48), np.float32))
     assert samples.weight[held].sum() / samples.weight.sum() == pytest.approx(0.2, abs=0.03)
 
 
-def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
+def test_where_the_scene_moves_a_fifth_of_the_pixels_isheld_out():
     from scsr_opt.camera.samples import spike_intervals
 
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
     moved = np.zeros((48, 48), np.float32)
     moved[:, 24:] = 1.5
-    held = _held_out(samples, moved)
+    held = held_out(samples, moved)
     shares = [
         np.mean(held[(samples.row == row) & (samples.column == column)]) for row in range(5) for column in range(48)
     ]

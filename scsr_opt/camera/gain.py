@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, checked_settings
-from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.camera.samples import Samples, mean_light
+from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
 
 _MOVED = 1.0
@@ -97,7 +98,7 @@ def flat_gain(
         raise InputError(f"even_over is {even_over}, but a median of neighbours needs at least 3 pixels.")
     shape = (spikes.shape[1], spikes.shape[2])
     known_bad = checked_settings(spikes.shape, READOUT_RATE, WHITE_RATE, bad_pixels)["bad_pixels"]
-    rate = spike_intervals(spikes, shortest=spikes.shape[0], bad_pixels=known_bad).mean_light(shape)
+    rate = mean_light(SpikeTimes.of(spikes), 0, len(spikes), white_rate=WHITE_RATE)
     bad = np.zeros(shape, bool) if known_bad is None else known_bad
     # Bad pixels say nothing about the light: they take the median of the good ones, which leaves their neighbours' be.
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)

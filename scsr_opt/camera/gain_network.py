@@ -21,8 +21,9 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.recording import READOUT_RATE, checked_settings
-from scsr_opt.camera.samples import spike_intervals
+from scsr_opt.camera.samples import mean_light
 from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.spike_times import SpikeTimes
 
 WEIGHTS = Path(__file__).parent / "weights" / "gain_network.npz"
 """The trained network, with a card beside it that says what it was trained on."""
@@ -112,18 +113,19 @@ def rates_at_rest(
     as the two halves of the recording and the pixels around tell it; bad pixels take what is around them.
     `white_rate`: spikes per frame of a pixel at intensity 1."""
 
-    def rate(spikes: Shaped[np.ndarray, "t h w"]) -> Float[np.ndarray, "h w"]:
-        frames, height, width = spikes.shape
-        samples = spike_intervals(spikes, white_rate=white_rate, shortest=frames)
-        return samples.mean_light((height, width)).astype(np.float32)
-
     good = np.ones(spikes.shape[1:], np.float32) if bad_pixels is None else (~bad_pixels).astype(np.float32)
 
     def around(of: Float[np.ndarray, "h w"], reach: float) -> Float[np.ndarray, "h w"]:
         return gaussian_filter(of * good, reach) / (gaussian_filter(good, reach) + np.float32(1e-6))
 
-    half = len(spikes) // 2
-    whole, differs = rate(spikes), rate(spikes[:half]) - rate(spikes[half:])
+    frames, half = len(spikes), len(spikes) // 2
+    first, second = SpikeTimes.of(spikes, 0, half), SpikeTimes.of(spikes, half)
+    whole = mean_light(first.then(second), 0, frames, white_rate=white_rate)
+    before, after = (
+        mean_light(times, begin, end, white_rate=white_rate)
+        for times, begin, end in ((first, 0, half), (second, half, frames))
+    )
+    differs = before - after
     whole = np.where(good > 0, whole, around(whole, _BESIDE))
     return whole, np.sqrt(around(differs**2, _EVEN)) / 2 / (whole + np.float32(_DARK))
 

@@ -123,7 +123,7 @@ def spike_intervals(
         raise InputError(f"ends is {ends!r}, but it must be a number from 0 (left out) to 1 (as good as intervals).")
     frames, height, width = spikes.shape
     good = np.ones(height * width, bool) if bad_pixels is None else ~bad_pixels.reshape(-1)
-    times = SpikeTimes.of(np.asarray(spikes).reshape(frames, -1))
+    fired = np.asarray(spikes).reshape(frames, -1)
     merged, runs = (np.broadcast_to(np.asarray(of), (height, width)).reshape(-1) for of in (shortest, run))
     # Of pixels that are still all the time, only the first and the last spike and their number count.
     still = merged >= frames
@@ -142,22 +142,36 @@ def spike_intervals(
         )
 
     bands = np.array_split(others, max(1, others.size // _BAND))
-    parts = in_threads(lambda pixels: made(_between(spikes, pixels, merged, runs)), bands)
-    parts.append(made(_throughout(times, np.flatnonzero(good & still))))
-    if ends > 0:
-        parts.append(made(_ends(times, frames, good), ends))
+    parts = in_threads(lambda pixels: made(_between(fired, pixels, merged, runs)), bands)
+    if ends > 0 or still.any():
+        times = SpikeTimes.of(fired)
+        parts.append(made(_throughout(times, np.flatnonzero(good & still))))
+        parts.append(made(_ends(times, frames, good & (ends > 0)), ends))
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
+def mean_light(
+    times: SpikeTimes, begin: int, end: int, *, white_rate: float | int, ends: float | int = ENDS
+) -> Float[np.ndarray, "*pixels"]:
+    """Mean intensity of pixels from frame `begin` to `end` (exclusive), of which these are the spike times: that of all
+    samples of `spike_intervals`, which are not made for it."""
+    fired = times.count > 0
+    between = np.where(fired, times.last - times.first, 0).astype(np.float32)
+    at_ends = np.float32(ends) * (np.float32(end - begin) - between)
+    light = np.where(fired, times.count - 1 + np.float32(ends), 0)
+    duration = between + at_ends
+    return (light / np.where(duration > 0, duration, 1) / np.float32(white_rate)).astype(np.float32)
+
+
 def _between(
-    spikes: Shaped[np.ndarray, "T h w"],
+    fired: Shaped[np.ndarray, "T hw"],
     pixels: Int[np.ndarray, " pixels"],
     shortest: Int[np.ndarray, " hw"],
     runs: Int[np.ndarray, " hw"],
 ) -> tuple[np.ndarray, ...]:
     """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
-    frames = spikes.shape[0]
-    by_pixel = np.ascontiguousarray(spikes.reshape(frames, -1)[:, pixels].T).astype(bool, copy=False)
+    frames = len(fired)
+    by_pixel = np.ascontiguousarray(fired[:, pixels].T).astype(bool, copy=False)
     order = np.flatnonzero(by_pixel).astype(np.int32)  # by pixel, then by time
     pixel = np.repeat(np.arange(pixels.size, dtype=np.int32), np.count_nonzero(by_pixel, axis=1))
     time = order - pixel * np.int32(frames)
@@ -168,7 +182,7 @@ def _between(
     order = np.arange(order.size, dtype=np.int32)
     if left_out.size:
         order = np.delete(order, left_out)
-        pixel, time = pixel[order], time[order]
+        pixel, time = pixel.take(order), time.take(order)
     if np.any(shortest[pixels] > 1):
         block = time // shortest[pixels][pixel]
         first = np.ones(time.size, bool)
@@ -177,7 +191,8 @@ def _between(
         is_end[1:] |= block[1:] != block[:-1]
         is_end[:-1] |= first[1:]  # the last spike of a pixel ends its last interval, however short
         is_end[-1:] = True
-        pixel, time, order = pixel[is_end], time[is_end], order[is_end]
+        kept = np.flatnonzero(is_end)  # a mask takes several times as long as numbers
+        pixel, time, order = pixel.take(kept), time.take(kept), order.take(kept)
     begin = np.flatnonzero(pixel[1:] == pixel[:-1])
     end = begin + 1
     return pixels[pixel[begin]], time[begin], time[end], order[end] - order[begin]

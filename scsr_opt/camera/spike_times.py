@@ -38,6 +38,11 @@ class SpikeTimes(NamedTuple):
             count += times
         return cls(np.subtract(kind(frames), since_end, out=since_end), np.subtract(last, 1, out=last), count)
 
+    def then(self, following: "SpikeTimes") -> "SpikeTimes":
+        """Those of these frames and of the `following` ones of the same recording."""
+        first, last = np.minimum(self.first, following.first), np.maximum(self.last, following.last)
+        return SpikeTimes(first, last, self.count + following.count)
+
 
 def as_bytes(spikes: Shaped[np.ndarray, "T *pixels"]) -> UInt8[np.ndarray, "T *pixels"]:
     """A recording of 0 and 1 of any type as bytes."""

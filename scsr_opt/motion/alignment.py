@@ -35,14 +35,15 @@ class Stretches:
     """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame.
 
     `firing` (h, w), if known: spikes per frame, mean over the recording. No picture shows changes that are faster than
-    a pixel fires. `counted` (n, h, w), if known: spikes per frame in each stretch. They are noisier than the pictures,
-    whose intervals reach beyond a stretch, but what one stretch counts no other does.
+    a pixel fires. `counted()` (n, h, w), if known: spikes per frame in each stretch, counted when they are asked for.
+    They are noisier than the pictures, whose intervals reach beyond a stretch, but what one stretch counts no other
+    does.
     """
 
     picture: Float[Array, "n h w"]
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
-    counted: Float[Array, "n h w"] | None = None
+    counted: Callable[[], Float[Array, "n h w"]] | None = None
     _known: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
     _presmoothed: dict[float, "Stretches"] = field(default_factory=dict, init=False, repr=False)
 
@@ -68,8 +69,9 @@ class Stretches:
     def part(self, rows: slice, columns: slice) -> "Stretches":
         """The pictures of a part of the sensor."""
         firing = None if self.firing is None else self.firing[rows, columns]
-        counted = None if self.counted is None else self.counted[:, rows, columns]
-        part = Stretches(self.picture[:, rows, columns], self.after, firing, counted)
+        counted = self.counted
+        of_part = None if counted is None else lambda: counted()[:, rows, columns]
+        part = Stretches(self.picture[:, rows, columns], self.after, firing, of_part)
         part._presmoothed.update({sigma: found.part(rows, columns) for sigma, found in self._presmoothed.items()})
         return part
 
@@ -92,17 +94,17 @@ def stretches(
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
     firing = spike_counts(spikes).astype(np.float32) / np.float32(frames)
-    counted = _counted(spikes, edges)
-    return Stretches(*(jnp.asarray(each, jnp.float32) for each in (rates, middle, firing, counted)))
+    known = (jnp.asarray(each, jnp.float32) for each in (rates, middle, firing))
+    return Stretches(*known, counted=lambda: _counted(spikes, edges))
 
 
-def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"]) -> Float[np.ndarray, "n h w"]:
+def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"]) -> Float[Array, "n h w"]:
     """Spikes per frame between whole frames near the edges."""
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
     stretched = pairwise(whole.tolist())
     counts = np.stack([spike_counts(spikes[begin:end]) for begin, end in stretched])
-    return counts / np.diff(whole).astype(np.float32)[:, None, None]
+    return jnp.asarray(counts, jnp.float32) / jnp.asarray(np.diff(whole), jnp.float32)[:, None, None]
 
 
 # The share of the pixels that must have fired at the first moment that is used, and must still fire at the last one.

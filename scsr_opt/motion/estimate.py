@@ -292,16 +292,17 @@ def comparable(
     found = stretches(spikes, key=key, white_rate=white_rate)
     picture, firing, counted = found.picture, found.firing, found.counted
     assert firing is not None and counted is not None  # by `stretches`
-    if gain is not None:
-        over = jnp.asarray(gain, jnp.float32)[None]
-        picture, counted = picture / over, counted / over
-    if bad_pixels is not None and bad_pixels.any():
-        good = ~bad_pixels
+    good = None if bad_pixels is None or not bad_pixels.any() else ~bad_pixels
+
+    def mended(of: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
+        over = of if gain is None else of / jnp.asarray(gain, jnp.float32)[None]
+        return over if good is None else filled(over, good)
+
+    if good is not None:
         # Where there are no good pixels around, nothing is heard: what is filled in there does not move.
         some = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(_FILLED_FROM)) > _FILLED_SHARE
-        picture, counted = filled(picture, good), filled(counted, good)
         firing = jnp.where(some, filled(firing[None], good)[0], 0)
-    return Stretches(picture, found.after, firing, counted)
+    return Stretches(mended(picture), found.after, firing, lambda: mended(counted()))
 
 
 def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:

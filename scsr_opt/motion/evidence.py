@@ -114,7 +114,7 @@ def counts_agree(pictures: Stretches, motion: Motion) -> bool:
     """
     if pictures.counted is None:
         return True
-    counts = Stretches(pictures.counted, pictures.after).presmoothed(1.0)
+    counts = Stretches(pictures.counted(), pictures.after).presmoothed(1.0)
     fields = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
     moving, resting = (drift(counts.picture, counts.after, jnp.ones_like(counts.after), m) for m in (fields, None))
     # Of two moments nothing is left but noise; what is seen once agrees with itself.

@@ -50,8 +50,9 @@ def _central(some: Stretches, number: int) -> Stretches:
     """The `number` pictures in the middle: with always the same number, everything is compiled only once."""
     first = (some.after.shape[0] - number) // 2
     part = slice(first, first + number)
-    assert some.counted is not None
-    return replace(some, picture=some.picture[part], after=some.after[part], counted=some.counted[part])
+    counted = some.counted
+    assert counted is not None
+    return replace(some, picture=some.picture[part], after=some.after[part], counted=lambda: counted()[part])
 
 
 def _error(found: np.ndarray, name: str) -> np.ndarray:

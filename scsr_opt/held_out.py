@@ -81,9 +81,7 @@ def _light_at_rest(
     return _visited(fired, ends, add, jnp.zeros((2, 2, *phase.shape), jnp.float32))
 
 
-def _visited(
-    fired: Bool[Array, "T h w"], ends: Float[Array, ""], add: Callable[..., Sums], sums: Sums
-) -> Sums:
+def _visited(fired: Bool[Array, "T h w"], ends: Float[Array, ""], add: Callable[..., Sums], sums: Sums) -> Sums:
     """`sums` after `add(sums, time, worth, light, middle)` of each interval and end: frames that it lasts and what each
     is worth, thresholds gathered, and its middle, as a frame; of all pixels at once, 0 worth where a pixel has none."""
 

@@ -131,12 +131,16 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
     known = gain_is_known(motion.moved(len(stream.spikes)))
     turns = _TURNS if asked.gain is not None and known.any() else 0
     if turns and asked.gain == "auto" and found.outcome.result.good:
-        few = np.zeros(known.size, bool)
-        few[np.flatnonzero(known)[:: max(1, np.count_nonzero(known) // _LOOKED_AT) if asked.skip else 1]] = True
-        few = few.reshape(known.shape)
-        looked = measured_as.gain(stream, motion, found.blurred, robust=robust, of=few)
-        learned["gain_spread"] = spread_of(looked, few)
-        turns = _TURNS if learned["gain_spread"] >= FIXED_PATTERN else 0
+        # Some of the pixels, and all where those show a pattern.
+        for every in (max(1, np.count_nonzero(known) // _LOOKED_AT), 1) if asked.skip else (1,):
+            few = np.zeros(known.size, bool)
+            few[np.flatnonzero(known)[::every]] = True
+            few = few.reshape(known.shape)
+            looked = measured_as.gain(stream, motion, found.blurred, robust=robust, of=few)
+            learned["gain_spread"] = spread_of(looked, few)
+            if learned["gain_spread"] < FIXED_PATTERN:
+                turns = 0
+                break
     for turn in range(turns):
         if not found.outcome.result.good:
             break

@@ -11,9 +11,10 @@ from skimage import data
 from scsr_opt import reconstruct
 from scsr_opt.baselines import tfp_sr
 from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
+from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.demo import psnr
-from scsr_opt.held_out import STRETCH, held_out, light_at_rest
+from scsr_opt.held_out import held_out, light_at_rest
 from scsr_opt.motion import Motion
 from scsr_opt.motion.handed_in import given
 from scsr_opt.placing import Stream, first_picture, measured
@@ -186,33 +187,45 @@ def test_too_few_samples_leave_the_strength_of_the_noise():
     assert validated(stream) == strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
 
 
-def test_stretches_of_time_ask_for_the_strength_of_the_intervals_in_them():
-    """Merged, they are held out as their intervals are but for those at the ends of a stretch."""
-    stream = still(data.brick()[:192, :192] / 255, photons=1000.0)
-    motion, (_, height, width) = Motion.none(96, 96), stream.spikes.shape
-    assert (height, width) == (96, 96)
-    taken = measured(stream, motion, scale=SCALE, measuring=Intervals())
-    of_stretches, of_intervals = (
+@pytest.mark.parametrize("light", [{"photons": 1000.0}, {"photons": 50.0, "white_rate": 0.1}])
+def test_at_rest_the_strength_is_that_of_all_intervals(light):
+    """Sums over the intervals of each pixel serve as well as these, up to rounding, which may end a solve earlier."""
+    sensor = Sensor(**light)
+    made = simulate(Static(data.brick()[:192, :192] / 255), scale=SCALE, frames=101, sensor=sensor, seed=0)
+    stream, motion = Stream(made.spikes, 50, sensor.white_rate, None), Motion.none(96, 96)
+    taken = measured(stream, motion, scale=SCALE, measuring=Intervals(), on_sensor=True)
+    of_sums, of_intervals = (
         validated_strength(
             stream, motion, taken, first_of(stream), scale=SCALE, prior=HuberTotalVariation(), solver=FISTA(),
             measuring=Intervals(), skip=skip,
         ).strength
         for skip in (True, False)
     )  # fmt: skip
-    assert of_stretches == pytest.approx(of_intervals, rel=0.1)
+    assert of_sums == pytest.approx(of_intervals, rel=0.01)
+
+
+@pytest.mark.parametrize(("frames", "rate", "ends"), [(101, 0.6, 0.1), (300, 0.1, 0.1), (7, 0.3, 0.0), (40, 0.02, 1.0)])
+def test_light_at_rest_is_that_of_the_samples(frames, rate, ends):
+    """Pixels that never fire, or in every frame, too."""
+    random = np.random.default_rng(0)
+    spikes = (random.random((frames, 12, 11)) < 2 * rate * random.random((12, 11))).astype(np.uint8)
+    spikes[:, :2], spikes[:, 2:4] = 0, 1
+    found = light_at_rest(spikes, ends=ends)
+    samples = spike_intervals(spikes, white_rate=1.0, run=1, ends=ends)
+    held = held_out(samples, np.zeros((12, 11), np.float32))
+    pixel = samples.row * 11 + samples.column
+    for which, some in enumerate((~held, held)):
+        for sums, of in zip(found[which], (samples.weight * samples.value, samples.weight), strict=True):
+            np.testing.assert_allclose(sums.ravel(), np.bincount(pixel, of * some, 12 * 11), rtol=1e-5, atol=1e-4)
 
 
 def test_a_fifth_of_every_pixels_time_isheld_out():
-    from scsr_opt.camera.samples import spike_intervals
-
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
     held = held_out(samples, np.zeros((48, 48), np.float32))
     assert samples.weight[held].sum() / samples.weight.sum() == pytest.approx(0.2, abs=0.03)
 
 
 def test_where_the_scene_moves_a_fifth_of_the_pixels_isheld_out():
-    from scsr_opt.camera.samples import spike_intervals
-
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
     moved = np.zeros((48, 48), np.float32)
     moved[:, 24:] = 1.5

@@ -80,7 +80,8 @@ def layered(
     `everywhere` where these do not explain enough.
 
     **Arguments:** `moving`: where `background` is contradicted; `total`: sensor pixels, of which the pictures may be a
-    part: what lies outside is background; `skip`: whether a region that its first fit explains is fitted no more.
+    part: what lies outside is background; `skip`: whether a region that its first fit explains is fitted no more, and
+    fits begin with a part of their points.
 
     **Returns:** motions with `layers` to choose from, or `background` alone if nothing else was found. Along the edges
     of something that moves, the dense estimate takes what it uncovers for another surface; so there is one without it.
@@ -94,7 +95,7 @@ def layered(
     numbers = [len(motions)]
     if len(motions) > 2 and motions[-1] is everywhere:
         numbers.insert(0, len(motions) - 1)
-    return in_threads(lambda n: _layers(pictures, motions[:n], mismatches[:n], everywhere), numbers)
+    return in_threads(lambda n: _layers(pictures, motions[:n], mismatches[:n], everywhere, skip=skip), numbers)
 
 
 def relabelled(pictures: Stretches, motion: Motion) -> Motion:
@@ -114,7 +115,12 @@ def relabelled(pictures: Stretches, motion: Motion) -> Motion:
 
 
 def _layers(
-    pictures: Stretches, motions: list[Motion], mismatches: list[Float[np.ndarray, "h w"]], everywhere: Motion
+    pictures: Stretches,
+    motions: list[Motion],
+    mismatches: list[Float[np.ndarray, "h w"]],
+    everywhere: Motion,
+    *,
+    skip: bool = True,
 ) -> Motion:
     """Layers with these motions, `everywhere` for the confidence; a single motion if one is left of them."""
     background = motions[0]
@@ -128,7 +134,9 @@ def _layers(
         kept = np.flatnonzero(sizes >= _FEWEST_PIXELS) if sizes.max() >= _FEWEST_PIXELS else [0]
         motions, mismatches = [motions[k] for k in kept], [mismatches[k] for k in kept]
     motions = [
-        motion if motion is background or motion is everywhere else _sharpened(pictures, motion, np.asarray(label == k))
+        motion
+        if motion is background or motion is everywhere
+        else _sharpened(pictures, motion, np.asarray(label == k), sparse=skip)
         for k, motion in enumerate(motions)
     ]
     layers = Layers(
@@ -166,7 +174,7 @@ def _find(
         # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
         # Among candidates about as good as the best the first is taken: fits come before constants.
         fits, wrong = [], []
-        for fit in _candidates(pictures, everywhere, region):
+        for fit in _candidates(pictures, everywhere, region, skip):
             fits.append(fit)
             wrong.append(contradicted(pictures, fit) | (fit.speed > fastest))
             if skip and (region & wrong[0]).sum() <= _LITTLE * region.sum():
@@ -209,11 +217,13 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
     return Motion.of_velocity(np.einsum("p,pchw->chw", numbers, fields))
 
 
-def _candidates(pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"]) -> Iterator[Motion]:
+def _candidates(
+    pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"], sparse: bool
+) -> Iterator[Motion]:
     """Motions that a region may have, those first that are preferred where they serve as well; made as asked for."""
     commonest = _commonest(everywhere, region)
-    yield parametric(pictures, start=commonest[0], where=region)
-    yield parametric(pictures, start=_affine(everywhere, region), where=region)
+    yield parametric(pictures, start=commonest[0], where=region, sparse=sparse)
+    yield parametric(pictures, start=_affine(everywhere, region), where=region, sparse=sparse)
     yield from commonest
 
 
@@ -234,13 +244,13 @@ def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
     return found
 
 
-def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h w"]) -> Motion:
+def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h w"], *, sparse: bool) -> Motion:
     """The motion fitted once more, to the inside of its layer: near the edges pictures show some of what lies behind,
     and that made an object 2 % too slow."""
     inside = cast(np.ndarray, ndimage.binary_erosion(member, iterations=_EDGE))
     if inside.sum() < _FEWEST_PIXELS:
         return motion
-    found = parametric(pictures, start=motion, where=inside, fitted=True)
+    found = parametric(pictures, start=motion, where=inside, fitted=True, sparse=sparse)
     # Fewer pixels may tell less: the better of the two.
     before, after = (variance_along(pictures, m)[inside].mean() for m in (motion, found))
     return found if after < before else motion

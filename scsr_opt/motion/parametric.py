@@ -65,6 +65,7 @@ def parametric(
     start: Motion | None = None,
     where: Bool[np.ndarray, "h w"] | None = None,
     fitted: bool = False,
+    sparse: bool = False,
 ) -> Motion:
     """One velocity (and acceleration) for the whole scene, or one that varies linearly or as a tilting plane's.
 
@@ -76,7 +77,7 @@ def parametric(
     a first velocity: its mean, or where it varies the affine one nearest to it, whose numbers are then all fitted. With
     `where`, only these pixels of the key frame are looked at, and perspective, for which a region is too small, is left
     out; the motion is still given everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to
-    all moments once more.
+    all moments once more. `sparse`: most of the way is gone with a quarter of the points.
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where, pictures.firing)
@@ -109,11 +110,12 @@ def parametric(
             steps: int = steps,
             enough: float = _SMALL * sigma * (0.1 if last else 1.0),
         ) -> tuple[Float[np.ndarray, "2 8"], "_Votes"]:
-            found, votes = _fit(
-                blurred, pictures.after, jnp.asarray(interval), points, jnp.asarray(numbers),
-                jnp.asarray(active), jnp.asarray(steps), jnp.asarray(enough, jnp.float32),
-                jnp.asarray(majority, jnp.float32),
-            )  # fmt: skip
+            found = jnp.asarray(numbers)
+            for looked_at in (points.quarter, points) if sparse and points.region.size > _LEAST_POINTS else (points,):
+                found, votes = _fit(
+                    blurred, pictures.after, jnp.asarray(interval), looked_at, found, jnp.asarray(active),
+                    jnp.asarray(steps), jnp.asarray(enough, jnp.float32), jnp.asarray(majority, jnp.float32),
+                )  # fmt: skip
             return np.asarray(found), votes
 
         numbers, votes = fit(numbers, active)
@@ -147,6 +149,11 @@ class _Points(NamedTuple):
     block: Int[np.ndarray, " n"]
     region: Float[np.ndarray, " n"]
     interval: Float[np.ndarray, " n"]
+
+    @property
+    def quarter(self) -> "_Points":
+        """Every fourth of them."""
+        return _Points(*(of[..., ::4] for of in self))
 
 
 def _points(
@@ -237,6 +244,21 @@ def _asked_for(
     return bool(statistic * (blocks - numbers) / blocks > _ASKED * numbers)
 
 
+# How many times an update is gone, at most, and where it is larger than the one before.
+_FARTHEST, _GROWING = 4.0, 2.0
+
+
+class _Steps(NamedTuple):
+    """So far: the numbers; the last Gauss–Newton update, and how many times it was gone; how many were `done`, and by
+    how much the last one moved what moves most, sensor pixels."""
+
+    numbers: Float[Array, "2 8"]
+    update: Float[Array, "2 8"]
+    times: Float[Array, ""]
+    done: Int[Array, ""]
+    moved: Float[Array, ""]
+
+
 @jax.jit
 def _fit(
     pictures: Float[Array, "n h w"],
@@ -297,8 +319,11 @@ def _fit(
         pull = -jnp.concatenate([regressors * (change[q] * trust)[None] for q in (0, 1)])
         return jnp.block(matrix), pull
 
-    def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        numbers, done, _ = carry
+    # Pixels at the farthest moment that a unit of each number moves, at most: no generator is larger than 1.
+    lever = jnp.stack([longest, 0.5 * longest**2])[:, None]
+
+    def step(carry: _Steps) -> _Steps:
+        numbers = carry.numbers
         matrix, pull = equations(numbers)
         # Unit diagonal: velocities and accelerations differ by orders of magnitude. A trace of damping keeps the step
         # finite where the picture has no texture.
@@ -306,16 +331,21 @@ def _fit(
         damping = jnp.where(on, 1e-6, 1).astype(matrix.dtype)
         scaled = matrix * scale[:, None] * scale[None, :] + jnp.diag(damping)
         update = (jnp.linalg.solve(scaled, pull.sum(1) * scale) * scale).reshape(2, -1)
-        # No generator is larger than 1 in the picture.
-        moved = longest * jnp.abs(update[0]).max() + 0.5 * longest**2 * jnp.abs(update[1]).max()
-        return numbers + update, done + 1, moved
+        # Where each update is a share of the one before, as with weights that follow slowly, all that are still to come
+        # are taken at once (Aitken, 1926, for vectors).
+        last, now = carry.update * lever, update * lever
+        share = jnp.sum(now * last) / jnp.maximum(jnp.sum(last**2), 1e-20)
+        more = jnp.where(share < 1, carry.times / jnp.maximum(1 - share, 1e-6), _GROWING)
+        times = jnp.where(carry.done > 0, jnp.clip(more, 1, _FARTHEST), 1)
+        moved = times * jnp.abs(now).max(1).sum()
+        return _Steps(numbers + times * update, update, times, carry.done + 1, moved)
 
-    def go_on(carry: tuple[Array, Array, Array]) -> Array:
-        _, done, moved = carry
-        return (done < steps) & (moved > enough)
+    def go_on(carry: _Steps) -> Array:
+        return (carry.done < steps) & (carry.moved > enough)
 
-    begin = (numbers, jnp.zeros_like(steps), jnp.asarray(jnp.inf, pictures.dtype))
-    numbers, _, _ = jax.lax.while_loop(go_on, step, begin)
+    one, infinite = (jnp.asarray(number, pictures.dtype) for number in (1, jnp.inf))
+    begin = _Steps(numbers, jnp.zeros_like(numbers), one, jnp.zeros_like(steps), infinite)
+    numbers = jax.lax.while_loop(go_on, step, begin).numbers
     matrix, pull = equations(numbers)
     votes = jax.ops.segment_sum(pull.T, points.block, num_segments=_BLOCKS**2)
     return numbers, _Votes(matrix, votes)

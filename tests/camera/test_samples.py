@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
-from scsr_opt.camera.samples import Samples, spike_intervals, windows
+from scsr_opt.camera.samples import Samples, mean_light, spike_intervals, windows
+from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
 
 RATE = 0.6
@@ -209,3 +210,13 @@ def test_padding_keeps_the_samples_and_adds_no_weight(spikes):
     assert padded.count == found.count
     assert all(getattr(padded, name).size == padded.row.size for name in FIELDS)
     assert not padded.weight[found.row.size :].any()
+
+
+@given(recordings, st.sampled_from([0.0, 0.1, 1.0]), st.integers(0, 20))
+@settings(deadline=None)
+def test_mean_light_is_that_of_all_samples(spikes, ends, begin):
+    begin = min(begin, len(spikes) - 1)
+    part = spikes[begin:]
+    samples = spike_intervals(part, white_rate=RATE, shortest=len(part), ends=ends)
+    found = mean_light(SpikeTimes.of(spikes, begin), begin, len(spikes), white_rate=RATE, ends=ends)
+    np.testing.assert_allclose(found, samples.mean_light(spikes.shape[1:]), rtol=1e-5, atol=1e-6)

@@ -27,6 +27,14 @@ def test_times_and_numbers_of_spikes(frames, rate):
             assert found.last[pixel] == (times[-1] if times.size else -1)
 
 
+@pytest.mark.parametrize("between", [0, 1, 17, 40])
+def test_those_of_two_parts_are_those_of_both(between):
+    spikes = fired(40, 0.05)
+    both = SpikeTimes.of(spikes, 0, between).then(SpikeTimes.of(spikes, between))
+    for one, other in zip(both, SpikeTimes.of(spikes), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("kind", [bool, np.int32, float])
 def test_any_type_of_spikes_will_do(kind):
     spikes = fired(40, 0.3)

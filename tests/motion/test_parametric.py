@@ -191,3 +191,29 @@ def test_points_are_of_few_numbers_and_spread_evenly(side, number):
     quarters = points.position[:, points.region > 0] // (side / 4)
     counts = np.bincount((4 * quarters[0] + quarters[1]).astype(int), minlength=16)
     assert counts.min() > 0.7 * used / 16
+
+
+def waving() -> tuple[Stretches, module.Motion]:
+    """Pictures of a motion that is not affine, and a start: weights that follow slowly settle which parts of it the fit
+    serves, so that each update is a large share of the one before."""
+    velocity = np.zeros((2, HEIGHT, WIDTH))
+    velocity[1] = 0.15 + 0.05 * np.sin(3 * np.pi * np.arange(WIDTH) / WIDTH)
+    return drawn(velocity), module.Motion.of_velocity(np.full((2, HEIGHT, WIDTH), 0.1))
+
+
+def test_a_fit_ends_where_more_steps_lead(monkeypatch):
+    """Measured: 0.002 sensor pixels from the end at the farthest moment, 0.54 where updates were gone as they are."""
+    pictures, start = waving()
+    region = np.ones((HEIGHT, WIDTH), bool)
+    usual = parametric(pictures, where=region, start=start)
+    monkeypatch.setattr(module, "_SCHEDULE", tuple((*stage[:2], 20 * stage[2]) for stage in module._SCHEDULE))
+    monkeypatch.setattr(module, "_SMALL", 0.0)
+    assert worst(usual.velocity, parametric(pictures, where=region, start=start).velocity) < 0.05
+
+
+def test_a_quarter_of_the_points_go_most_of_the_way():
+    """Measured: 0.003 sensor pixels apart at the farthest moment."""
+    pictures, start = waving()
+    region = np.ones((HEIGHT, WIDTH), bool)
+    ways = [parametric(pictures, where=region, start=start, sparse=sparse) for sparse in (True, False)]
+    assert worst(ways[0].velocity, ways[1].velocity) < 0.05

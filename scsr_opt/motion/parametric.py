@@ -32,6 +32,9 @@ _VARIES = 0.1
 # the share that agrees best, and the start is trusted enough to leave out the nearest times.
 _MINORITY = 0.2
 
+# Where a quarter of the points has led, all of them are looked at for so many times fewer steps.
+_FEWER = 3
+
 # Points of the key frame that are looked at. Presmoothed pictures change little from pixel to pixel: a sixth of a
 # sensor of 400×250 says as much as all of it. There are few lengths, so that what was compiled once serves for each
 # picture and region: these two, and four times the first.
@@ -81,6 +84,7 @@ def parametric(
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where, pictures.firing)
+    few = points.quarter if sparse and points.region.size > _LEAST_POINTS else None
     numbers = np.zeros((2, _GENERATORS), np.float32)
     active = np.zeros((2, _GENERATORS), bool)
     active[0, _SHIFTS] = True
@@ -101,20 +105,24 @@ def parametric(
         begin, end = int(near[0]), int(near[-1]) + 1
         last = reach == np.inf
         blurred = pictures.presmoothed(sigma).picture
+        looked_at = [(points, steps)]
+        # Near times only give a start to the far ones, where some of the points lead most of the way.
+        if few is not None:
+            looked_at = [(few, steps), (points, steps // _FEWER)] if last else [(few, steps)]
 
         def fit(
             numbers: Float[np.ndarray, "2 8"],
             active: Bool[np.ndarray, "2 8"],
             blurred: Float[Array, "n h w"] = blurred,
             interval: tuple[int, int] = (begin, end),
-            steps: int = steps,
+            looked_at: list[tuple[_Points, int]] = looked_at,
             enough: float = _SMALL * sigma * (0.1 if last else 1.0),
         ) -> tuple[Float[np.ndarray, "2 8"], "_Votes"]:
             found = jnp.asarray(numbers)
-            for looked_at in (points.quarter, points) if sparse and points.region.size > _LEAST_POINTS else (points,):
+            for some, most in looked_at:
                 found, votes = _fit(
-                    blurred, pictures.after, jnp.asarray(interval), looked_at, found, jnp.asarray(active),
-                    jnp.asarray(steps), jnp.asarray(enough, jnp.float32), jnp.asarray(majority, jnp.float32),
+                    blurred, pictures.after, jnp.asarray(interval), some, found, jnp.asarray(active),
+                    jnp.asarray(most), jnp.asarray(enough, jnp.float32), jnp.asarray(majority, jnp.float32),
                 )  # fmt: skip
             return np.asarray(found), votes
 

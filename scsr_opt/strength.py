@@ -323,7 +323,7 @@ def _part_at_rest(
             column=columns,
             start=np.zeros(rows.size, np.float32),
             stop=np.full(rows.size, frames - 1, np.float32),
-            value=(light / np.maximum(time, ends) / over).reshape(-1).astype(np.float32),
+            value=(light / np.where(time > 0, time, 1) / over).reshape(-1).astype(np.float32),
             weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
         ).padded()
         shape = (scale * height, scale * width)

@@ -219,13 +219,13 @@ def test_light_at_rest_is_that_of_the_samples(frames, rate, ends):
             np.testing.assert_allclose(sums.ravel(), np.bincount(pixel, of * some, 12 * 11), rtol=1e-5, atol=1e-4)
 
 
-def test_a_fifth_of_every_pixels_time_isheld_out():
+def test_a_fifth_of_every_pixels_time_is_held_out():
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
     held = held_out(samples, np.zeros((48, 48), np.float32))
     assert samples.weight[held].sum() / samples.weight.sum() == pytest.approx(0.2, abs=0.03)
 
 
-def test_where_the_scene_moves_a_fifth_of_the_pixels_isheld_out():
+def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
     samples = spike_intervals(still(data.brick()[:96, :96], photons=1000.0).spikes, white_rate=0.6)
     moved = np.zeros((48, 48), np.float32)
     moved[:, 24:] = 1.5

@@ -256,9 +256,9 @@ def test_refining_the_motion(made):
 def test_going_on_from_a_solution(made, usual):
     again = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, state=usual.state)
     assert again.result is Result.converged and len(again.stages) < len(usual.stages) / 2
-    # Both ends are within a few steps of the tolerance of the same minimiser, the second one no farther, but for the
-    # rounding of sums in float32 (measured: 0.5 %, and 2e-7 of the objective).
-    assert again.stats["objective"] <= usual.stats["objective"] * (1 + 1e-6)
+    # Both ends are within a few steps of the tolerance of the same minimiser. The objective is flat there: it differs
+    # by the square of that, and by rounding, which processors do differently (measured: 0.5 %, 2e-7 and 2.4e-6 of it).
+    assert again.stats["objective"] <= usual.stats["objective"] * (1 + 1e-5)
     assert np.linalg.norm(again.image - usual.image) < 0.01 * np.linalg.norm(usual.image)
 
 

@@ -20,6 +20,7 @@ Sums = TypeVar("Sums")
 MOVED = 1.0
 """Sensor pixels that the scene has to move at a pixel for other pixels to see what this one sees."""
 SHARE, STRETCH = 5, 8
+"""One sample in so many is held out; frames, at least, of a stretch of time that is."""
 
 
 def held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
@@ -50,7 +51,7 @@ def light_at_rest(spikes: Shaped[np.ndarray, "T h w"], *, ends: float | int) -> 
     the light that each pixel gathered, in thresholds, [0], and the frames that it took, [1].
 
     Those are the samples of `spike_intervals`, split by `held_out`; `ends` as there. They never exist one by one, which
-    takes a tenth of the time.
+    takes a third of the time.
     """
     fired, phase = jnp.asarray(spikes).astype(bool), jnp.asarray(_phase(spikes.shape[1:]))
     return np.asarray(_light_at_rest(fired, phase, jnp.asarray(ends, jnp.float32)))
@@ -65,7 +66,7 @@ def _light_at_rest(
     squares, times = _visited(
         fired, ends, lambda sums, time, worth, *_: (sums[0] + worth * time**2, sums[1] + worth * time), (nothing,) * 2
     )
-    length = jnp.maximum(STRETCH, 2 * squares.sum() / times.sum())
+    length = jnp.maximum(STRETCH, 2 * squares.sum() / jnp.maximum(times.sum(), 1e-9))
 
     def add(
         sums: Float[Array, "2 2 h w"],

@@ -132,7 +132,8 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
     turns = _TURNS if asked.gain is not None and known.any() else 0
     if turns and asked.gain == "auto" and found.outcome.result.good:
         # Some of the pixels, and all where those show a pattern.
-        for every in (max(1, np.count_nonzero(known) // _LOOKED_AT), 1) if asked.skip else (1,):
+        some = max(1, np.count_nonzero(known) // _LOOKED_AT) if asked.skip else 1
+        for every in sorted({some, 1}, reverse=True):
             few = np.zeros(known.size, bool)
             few[np.flatnonzero(known)[::every]] = True
             few = few.reshape(known.shape)

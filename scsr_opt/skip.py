@@ -3,8 +3,8 @@
 A still wall beside a moving car must not cost as much as the car. So nothing is done twice that once is enough for:
 
 - **Motion.** Nothing is estimated where the recording does not contradict rest, one motion where it does not contradict
-  that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`). Fits begin
-  with a quarter of their points.
+  that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`). Fits to
+  what moves apart begin with a quarter of their points.
 - **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
   pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording; so are runs
   of intervals of one frame, as far as the positions along an exposure lie close enough. What is hidden or has left the

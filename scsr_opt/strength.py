@@ -184,19 +184,13 @@ def validated_strength(
 
     def made(area: tuple[slice, slice]) -> _Part | None:
         pieces, part, first, merged = taken, stream.part(*area), image[_scaled(area, scale)], False
+        of_part = None if gain is None else gain[area]
         if good[area].shape != good.shape or (taken.merged_for > 1).any():
             # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
             if skip and isinstance(measuring, Intervals):
                 if taken.placed.on_sensor and measuring.noise is None:
-                    return _part_at_rest(
-                        part,
-                        taken.path.part(*area),
-                        first,
-                        scale=scale,
-                        ends=measuring.ends,
-                        gain=None if gain is None else gain[area],
-                        optics=optics,
-                    )
+                    path, ends = taken.path.part(*area), measuring.ends
+                    return _part_at_rest(part, path, first, scale=scale, ends=ends, gain=of_part, optics=optics)
                 frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
                 merged = bool(frames_each.mean() <= STRETCH / 2)
             pieces = measured(
@@ -204,7 +198,7 @@ def validated_strength(
                 taken.path.part(*area),
                 scale=scale,
                 measuring=measuring,
-                gain=None if gain is None else gain[area],
+                gain=of_part,
                 merge=skip,
                 longest=STRETCH if merged else 1,
                 on_sensor=skip,

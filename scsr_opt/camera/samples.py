@@ -146,7 +146,8 @@ def spike_intervals(
     if ends > 0 or still.any():
         times = SpikeTimes.of(fired)
         parts.append(made(_throughout(times, np.flatnonzero(good & still))))
-        parts.append(made(_ends(times, frames, good & (ends > 0)), ends))
+        if ends > 0:
+            parts.append(made(_ends(times, frames, good), ends))
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)
 
 
@@ -154,7 +155,8 @@ def mean_light(
     times: SpikeTimes, begin: int, end: int, *, white_rate: float | int, ends: float | int = ENDS
 ) -> Float[np.ndarray, "*pixels"]:
     """Mean intensity of pixels from frame `begin` to `end` (exclusive), of which these are the spike times: that of all
-    samples of `spike_intervals`, which are not made for it."""
+    samples of `spike_intervals` with `shortest=end - begin`, which are not made for it; 0 where there is none. `ends`,
+    `white_rate` as there."""
     fired = times.count > 0
     between = np.where(fired, times.last - times.first, 0).astype(np.float32)
     at_ends = np.float32(ends) * (np.float32(end - begin) - between)

@@ -112,9 +112,10 @@ def counts_agree(pictures: Stretches, motion: Motion) -> bool:
     nothing moved: along the true velocity of dim pans they then differ more than at rest, and along half of it less,
     while the counts' variance is 0.74 to 0.82 and 0.79 to 0.84 of that at rest (0.88 to 0.97 on clips).
     """
-    if pictures.counted is None:
+    counted = pictures.counted
+    if counted is None:
         return True
-    counts = Stretches(pictures.counted(), pictures.after).presmoothed(1.0)
+    counts = pictures.once("counts", lambda: Stretches(counted(), pictures.after).presmoothed(1.0))
     fields = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
     moving, resting = (drift(counts.picture, counts.after, jnp.ones_like(counts.after), m) for m in (fields, None))
     # Of two moments nothing is left but noise; what is seen once agrees with itself.

@@ -4,7 +4,7 @@ A patch of a picture is recorded by a sensor of random gains (`scsr_opt.camera.s
 1 to 4 of its pixels a side, by day, in less light and in dim light. The network sees what `rates_at_rest` makes of the
 spikes, and the mean square of its error in ln g is made small.
 
-    python -m learned.gain_training --out gain.npz --pictures FOLDER --minutes 25
+    python -m learned.gain_training --out gain.npz --pictures FOLDER --steps 10000
 """
 
 import argparse
@@ -109,13 +109,13 @@ def train(
     out: Path,
     *,
     folder: Path | None,
-    minutes: float | int,
+    steps: int,
     channels: int = 32,
     layers: int = 8,
     seed: int = 0,
     report: Callable[[str], Any] = print,
 ) -> GainNetwork:
-    """Trains for so many minutes, writes the network to `out` and a card beside it.
+    """Trains for so many steps, writes the network to `out` and a card beside it.
 
     **Arguments:** `folder` of pictures; scikit-image's own where None. `channels`, `layers`: see `GainNetwork`.
     `report`: told of the progress, in words.
@@ -133,8 +133,7 @@ def train(
     tests = {s: _joined([patch(held_out, generator, s) for _ in range(_HELD_OUT)]) for s in (0.0, 0.05)}
     kept = _joined([patch(found, generator) for _ in range(_BATCH)])
     losses: list[float] = []
-    number = 0
-    while (passed := (time.perf_counter() - begin) / (60 * minutes)) < 1:
+    for number in range(1, steps + 1):
         fresh = _joined([patch(found, generator) for _ in range(_FRESH)])
         if len(kept[0]) < _KEPT:
             kept = _joined([kept, fresh])
@@ -144,24 +143,22 @@ def train(
                 values[at] = new
         chosen = generator.integers(len(kept[0]), size=_BATCH)
         batch = tuple(jnp.asarray(values[chosen]) for values in kept)
-        # The rate falls with the time that has passed, as the number of steps is not known beforehand.
-        rate = _RATE * min(1, (number + 1) / _WARM_UP) * (_LAST + (1 - _LAST) * np.cos(np.pi / 2 * passed) ** 2)
+        falling = _LAST + (1 - _LAST) * np.cos(np.pi / 2 * (number - 1) / steps) ** 2
+        rate = _RATE * min(1, number / _WARM_UP) * falling
         network, mean, state, loss = step(network, mean, state, batch, jnp.float32(rate))
         losses.append(float(loss))
-        number += 1
         if number % _REPORT == 0:
             missed = {s: _missed(mean, test) for s, test in tests.items()}
             told = ", ".join(f"{error:.4f} of gains spread by {s}" for s, error in missed.items())
             recent = np.mean(losses[-_REPORT:])
-            report(f"{number} steps, {60 * minutes * passed:.0f} s: loss {recent:.4f}; missed {told}")
+            report(f"{number} steps, {time.perf_counter() - begin:.0f} s: loss {recent:.4f}; missed {told}")
             mean.save(out)
     mean.save(out)
     card = {
         "network": f"gains at rest, {layers} convolutions of 3×3, {channels} channels",
         "parameters": sum(x.size for x in jax.tree.leaves(eqx.filter(mean, eqx.is_array))),
         "pictures": len(found),
-        "steps": number,
-        "minutes": minutes,
+        "steps": steps,
         "seed": seed,
         "missed": {str(s): round(_missed(mean, test), 4) for s, test in tests.items()},
     }
@@ -185,7 +182,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
     parser.add_argument("--pictures", type=Path, help="a folder of pictures; scikit-image's own if not given")
-    parser.add_argument("--minutes", type=float, default=25.0)
+    parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--channels", type=int, default=32)
     parser.add_argument("--layers", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)
@@ -193,7 +190,7 @@ def main() -> None:
     train(
         given.out,
         folder=given.pictures,
-        minutes=given.minutes,
+        steps=given.steps,
         channels=given.channels,
         layers=given.layers,
         seed=given.seed,

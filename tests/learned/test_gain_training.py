@@ -24,11 +24,11 @@ def test_training_lowers_the_error_and_writes_a_network_with_its_card(tmp_path, 
     monkeypatch.setattr(gain_training, "_HELD_OUT", 4)
     monkeypatch.setattr(gain_training, "_REPORT", 10)
     told: list[str] = []
-    trained = train(tmp_path / "gain.npz", folder=None, minutes=0.25, channels=8, layers=3, report=told.append)
+    trained = train(tmp_path / "gain.npz", folder=None, steps=40, channels=8, layers=3, report=told.append)
     card = json.loads((tmp_path / "gain.json").read_text())
-    assert card["steps"] >= 20 and set(card["missed"]) == {"0.0", "0.05"}
+    assert card["steps"] == 40 and set(card["missed"]) == {"0.0", "0.05"}
     first, last = (float(line.split("loss ")[1].split(";")[0]) for line in (told[0], told[-1]))
-    assert last < 0.8 * first  # half of it on an idle machine; it trains for a time, and a busy one takes fewer steps
+    assert last < 0.8 * first  # half of it, as measured
     again = GainNetwork.load(tmp_path / "gain.npz")
     for one, other in zip(jax.tree.leaves(trained), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(jnp.asarray(one), jnp.asarray(other))

@@ -51,7 +51,7 @@ types: $(DEV_STAMP)
 	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 $(PY) -m pyright
 
 pytest: $(DEV_STAMP)
-	$(PY) -m pytest -n $(PYTEST_WORKERS) $(PYTEST_ARGS)
+	$(PY) -m pytest -n $(PYTEST_WORKERS) --dist worksteal $(PYTEST_ARGS)
 
 test-slow: $(DEV_STAMP)
 	$(PY) -m pytest -m slow $(PYTEST_ARGS)

@@ -22,6 +22,9 @@ import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# What one worker has compiled the others read, and the next run, too: compiling is most of the time of most tests.
+jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent.parent / ".pytest_cache" / "compiled"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 # Has to come before the first import of the packages: modules that are loaded already stay unchecked.
 jaxtyping.install_import_hook(["scsr_opt", "learned"], "beartype.beartype")
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Shaped
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.spike_times import SpikeTimes
-from scsr_opt.motion.inverse import bilinear
+from scsr_opt.motion.inverse import bilinear, in_turn
 
 Found = TypeVar("Found")
 
@@ -170,9 +170,11 @@ def drift(
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
 
-    def add(k: Array, sums: list[Array]) -> list[Array]:
-        tau = after[k]
-        value, inside = (pictures[k], jnp.ones_like(about)) if motion is None else along(pictures[k], tau, *motion)
+    def find(k: Array) -> tuple[Array, Array]:
+        return (pictures[k], jnp.ones_like(about)) if motion is None else along(pictures[k], after[k], *motion)
+
+    def add(k: Array, found: tuple[Array, Array], sums: list[Array]) -> list[Array]:
+        tau, (value, inside) = after[k], found
         value, weight = value - about, taking_part[k] * inside
         weighted = weight * value
         powers = [weight, weight * tau, weight * tau**2, weight * tau**3, weight * tau**4]
@@ -184,7 +186,7 @@ def drift(
     begin = jnp.min(jnp.where(taking_part != 0, numbers, after.size))
     end = jnp.max(jnp.where(taking_part != 0, numbers + 1, 0))
     # Kept apart: as one array they took a quarter longer.
-    sums = jax.lax.fori_loop(begin, end, add, [jnp.zeros_like(about)] * 9)
+    sums = in_turn(find, add, [jnp.zeros_like(about)] * 9, begin, end)
     moments, values = jnp.stack(sums[:5]), jnp.stack(sums[5:])
     # Σ weight, of the regressors τ and τ²/2, and of their products.
     seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])

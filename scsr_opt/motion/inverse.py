@@ -3,12 +3,17 @@
 That is q + d(q, τ) = p with d = v τ + ½ a τ²: at once where the motion is affine, else by fixed-point iteration.
 """
 
+from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
+
+Found = TypeVar("Found")
+Sums = TypeVar("Sums")
 
 # Fixed-point iterations of `inverse`, and the change, sensor pixels, after which no more are done.
 _REFINEMENTS, _STILL = 8, 1e-4
@@ -94,19 +99,22 @@ def inverse_at(
 ) -> Float[Array, "2 rows columns"]:
     """`inverse` for one moment; `acceleration` None for one of zero; `affine`, `numbers` as by `affine_numbers`."""
     here = jnp.indices(velocity.shape[1:], velocity.dtype)[:, ::every, ::every]
-    field = velocity if acceleration is None else jnp.concatenate([velocity, acceleration])
+    fields = [velocity] if acceleration is None else [velocity, acceleration]
+    powers = tau, 0.5 * tau**2
 
-    def displaced(found: Float[Array, "c rows columns"]) -> Float[Array, "2 rows columns"]:
-        displacement = found[:2] * tau
-        return here - (displacement if acceleration is None else displacement + found[2:] * (0.5 * tau**2))
+    # Rows and columns apart, and the change is taken in the next turn, see `in_turn`.
+    def refine(carry: tuple[list[Array], list[Array], Array]) -> tuple[list[Array], list[Array], Array]:
+        q, _, done = carry
+        better = [
+            p - sum(bilinear(field[axis][None], *q)[0] * power for field, power in zip(fields, powers, strict=False))
+            for axis, p in enumerate(here)
+        ]
+        return better, q, done + 1
 
-    def refine(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        q, done, _ = carry
-        better = displaced(bilinear(field, q[0], q[1]))
-        return better, done + 1, jnp.max(jnp.abs(better - q))
-
-    def go_on(carry: tuple[Array, Array, Array]) -> Array:
-        return (carry[1] < _REFINEMENTS) & (carry[2] > _STILL)
+    def go_on(carry: tuple[list[Array], list[Array], Array]) -> Array:
+        q, before, done = carry
+        change = jnp.maximum(*(jnp.max(jnp.abs(now - then)) for now, then in zip(q, before, strict=True)))
+        return (done == 0) | ((done < _REFINEMENTS) & (change > _STILL))
 
     def solved() -> Float[Array, "2 rows columns"]:
         # q + d + D q = p, d and D those of the moment.
@@ -116,8 +124,8 @@ def inverse_at(
         determinant = a * d - b * c
         return jnp.stack([(d * down - b * right) / determinant, (a * right - c * down) / determinant])
 
-    begin = here, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, velocity.dtype)
-    return jax.lax.cond(affine, solved, lambda: jax.lax.while_loop(go_on, refine, begin)[0])
+    begin = list(here), list(here), jnp.zeros((), jnp.int32)
+    return jax.lax.cond(affine, solved, lambda: jnp.stack(jax.lax.while_loop(go_on, refine, begin)[0]))
 
 
 def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:
@@ -127,15 +135,37 @@ def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[A
     top = jnp.clip(row.astype(jnp.int32), 0, max(height - 2, 0))
     left = jnp.clip(column.astype(jnp.int32), 0, max(width - 2, 0))
     down, right = row - top.astype(row.dtype), column - left.astype(column.dtype)
-    # Indices into the flattened picture: half the time of indexing by row and column.
-    flat, corner = field.reshape(field.shape[0], -1), top * width + left
+    # Indices into the flattened picture, channel by channel, each corner asked for once: otherwise two to ten times as
+    # long.
+    corner = top * width + left
     below, beside = (width if height > 1 else 0), (1 if width > 1 else 0)
 
-    down, right = down[None], right[None]
+    def between(flat: Float[Array, " hw"]) -> Float[Array, "..."]:
+        offsets = (0, beside, below, below + beside)
+        a, b, c, d = (flat.at[corner + offset].get(mode="promise_in_bounds") for offset in offsets)
+        upper, lower = a + right * (b - a), c + right * (d - c)
+        return upper + down * (lower - upper)
 
-    def at(offset: int) -> Float[Array, "c ..."]:
-        return flat.at[:, corner + offset].get(mode="promise_in_bounds")
+    return jnp.stack([between(channel.reshape(-1)) for channel in field])
 
-    upper = at(0) + right * (at(beside) - at(0))
-    lower = at(below) + right * (at(below + beside) - at(below))
-    return upper + down * (lower - upper)
+
+def in_turn(
+    find: Callable[[Array], Found],
+    add: Callable[[Array, Found, Sums], Sums],
+    sums: Sums,
+    begin: Int[Array, ""] | int,
+    end: Int[Array, ""] | int,
+) -> Sums:
+    """`sums` after `add(k, find(k), sums)` for each k from `begin` up to `end`, one at least.
+
+    What is looked up in one turn is added in the next. A look-up that several sums use in the turn that it is made in
+    is compiled into each of them, corner by corner, and took three times as long.
+    """
+
+    def turn(k: Array, carry: tuple[Found, Sums]) -> tuple[Found, Sums]:
+        found, sums = carry
+        return find(k + 1), add(k, found, sums)
+
+    begin, last = jnp.asarray(begin, jnp.int32), jnp.asarray(end, jnp.int32) - 1
+    found, sums = jax.lax.fori_loop(begin, last, turn, (find(begin), sums))
+    return add(last, found, sums)

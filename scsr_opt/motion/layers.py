@@ -21,7 +21,7 @@ from scipy import ndimage
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.alignment import Stretches, along, drift, smooth
 from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
-from scsr_opt.motion.inverse import bilinear, inverse
+from scsr_opt.motion.inverse import bilinear, in_turn, inverse
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion
 
@@ -341,30 +341,33 @@ def _sides(
     begin = jnp.min(jnp.where(near > _HARDLY, numbers, after.size))
     end = jnp.max(jnp.where(near > _HARDLY, numbers + 1, 0))
 
-    def average(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
-        value, inside = along(pictures[k], after[k], velocity, acceleration)
+    def find(k: Array) -> tuple[Array, Array]:
+        return along(pictures[k], after[k], velocity, acceleration)
+
+    def average(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        value, inside = found
         return sums[0] + near[k] * inside * value, sums[1] + near[k] * inside
 
     nothing = jnp.zeros((height, width), jnp.float32)
-    total, weight = jax.lax.fori_loop(begin, end, average, (nothing, nothing))
+    total, weight = in_turn(find, average, (nothing, nothing), begin, end)
     reference = total / jnp.maximum(weight, 1e-6)
 
-    def compare(sums: tuple[Array, Array], one: tuple[Array, Array]):
-        value, inside = along(*one, velocity, acceleration)
-        side = jnp.stack([one[1] < 0, one[1] >= 0]).astype(jnp.float32)[:, None, None]
-        side = side * jnp.minimum(jnp.abs(one[1]) / 20, 1) * inside[None]
+    def compare(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        tau, (value, inside) = after[k], found
+        side = jnp.stack([tau < 0, tau >= 0]).astype(jnp.float32)[:, None, None]
+        side = side * jnp.minimum(jnp.abs(tau) / 20, 1) * inside[None]
         difference = jnp.minimum((value - reference) ** 2 / noise, _ENOUGH)
-        return (sums[0] + side * difference[None], sums[1] + side), None
+        return sums[0] + side * difference[None], sums[1] + side
 
     neither = jnp.zeros((2, height, width), jnp.float32)
-    (total, weight), _ = jax.lax.scan(compare, (neither, neither), (pictures, after))
+    total, weight = in_turn(find, compare, (neither, neither), 0, after.size)
     # Out of view: nothing is known, neither for nor against.
     return jnp.where(weight > 0.5, total / jnp.maximum(weight, 1e-6), _ENOUGH / 2)
 
 
 @jax.jit
-def _look_up(fields: Float[Array, "c h w"], position: Float[Array, "n 2 h w"]) -> Float[Array, "n c h w"]:
-    return jax.lax.map(lambda q: bilinear(fields, q[0], q[1]), position)
+def _look_up(fields: Float[Array, "c h w"], position: Float[Array, "n 2 h w"]) -> list[Float[Array, "n h w"]]:
+    return jax.lax.map(lambda q: [bilinear(field[None], q[0], q[1])[0] for field in fields], position)
 
 
 def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
@@ -379,9 +382,9 @@ def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
         key_picture = drift(sharp.picture, sharp.after, near, (velocity, acceleration)).mean
         membership = jnp.asarray(layers.label == k, jnp.float32)
         both = jnp.stack([key_picture, membership])
-        looked_up = np.asarray(_look_up(both, origin))
-        shown.append((looked_up[:, 0] - np.asarray(sharp.picture[some])) ** 2)
-        there.append(looked_up[:, 1] > 0.5)
+        picture, member = (np.asarray(of) for of in _look_up(both, origin))
+        shown.append((picture - np.asarray(sharp.picture[some])) ** 2)
+        there.append(member > 0.5)
     wins = np.zeros(number, np.int32)
     for front in range(number):
         for back in range(number):

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.alignment import Stretches
-from scsr_opt.motion.inverse import bilinear
+from scsr_opt.motion.inverse import bilinear, in_turn
 from scsr_opt.motion.trajectory import Motion
 
 # (frames from the key frame that take part, presmoothing in sensor pixels, most Gauss–Newton steps): from near and
@@ -293,10 +293,13 @@ def _fit(
         velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
 
         # Moment by moment, so that the sums stay in the cache.
-        def add(b: Array, sums: _Sums) -> _Sums:
+        def find(b: Array) -> tuple[Array, tuple[Array, Array], Array]:
             tau = after[b]
             row, column = (points.position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
-            value, slope, inside = _value_and_slope(pictures, b, row, column)
+            return _value_and_slope(pictures, b, row, column)
+
+        def add(b: Array, found: tuple[Array, tuple[Array, Array], Array], sums: _Sums) -> _Sums:
+            tau, (value, slope, inside) = after[b], found
             value = (value - about) * inside
             return _Sums(
                 tuple(sum_ + tau**k * inside for k, sum_ in enumerate(sums.times)),
@@ -305,7 +308,7 @@ def _fit(
                 tuple(sum_ + one * inside for one, sum_ in zip(slope, sums.slopes, strict=True)),
             )
 
-        sums = jax.lax.fori_loop(interval[0], interval[1], add, _Sums.none(about))
+        sums = in_turn(find, add, _Sums.none(about), interval[0], interval[1])
         times, values, slopes = (jnp.stack(of) for of in (sums.times, sums.values, sums.slopes))
         # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
         seen = jnp.maximum(times[0], 1e-6)

@@ -21,6 +21,7 @@ from scsr_opt.motion.inverse import (
     affine_numbers,
     bilinear,
     from_affine,
+    in_turn,
     inverse,
     inverse_at,
 )
@@ -355,14 +356,19 @@ def _seen(
     nowhere = jnp.zeros_like(velocity[0, :, ::every, ::every])
 
     def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
-        position, part = nowhere, jnp.full_like(nowhere[0], -1)
-        for k in range(len(velocity)):
+        def find(k: Array) -> tuple[Array, Array]:
             faster = None if acceleration is None else acceleration[k]
             here = inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every)
-            belongs = bilinear(member[k][None], here[0], here[1])[0]
+            return here, bilinear(member[k][None], here[0], here[1])[0]
+
+        def nearer(_: Array, found: tuple[Array, Array], so_far: tuple[Array, Array]) -> tuple[Array, Array]:
+            (here, belongs), (position, part) = found, so_far
             # Where no layer is certain, the one that is most so far counts.
             better = (part <= _PART) & (belongs > part)
-            position, part = jnp.where(better[None], here, position), jnp.where(better, belongs, part)
+            return jnp.where(better[None], here, position), jnp.where(better, belongs, part)
+
+        nobody = nowhere, jnp.full_like(nowhere[0], -1)
+        position, part = in_turn(find, nearer, nobody, 0, len(velocity))
         return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
 
     return jax.lax.map(one, after)

@@ -19,7 +19,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
 from scsr_opt.motion.handed_in import checked, given
-from scsr_opt.motion.trajectory import Motion
+from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
@@ -35,6 +35,7 @@ from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.strength import (
     Validated,
+    in_parts,
     longest_merged,
     noise_of_mean,
     relative_strength,
@@ -95,11 +96,17 @@ class Asked:
             gain=gain,
         )
 
-    def measured(self, motion: Motion, gain: Float[np.ndarray, "h w"] | None) -> Measurements:
-        """The measurements along a motion."""
+    def followed(self, motion: Motion) -> Trajectory:
+        """A motion through all frames."""
+        return trajectory_of(motion, key=self.stream.key, start=0, stop=len(self.stream.spikes))
+
+    def measured(
+        self, motion: Motion, gain: Float[np.ndarray, "h w"] | None, path: Trajectory | None = None
+    ) -> Measurements:
+        """The measurements along a motion; `path`: as `followed`, where that is at hand."""
         return measured(
             self.stream,
-            motion,
+            self.followed(motion) if path is None else path,
             scale=self.scale,
             measuring=self.measuring,
             gain=gain,
@@ -157,20 +164,34 @@ class Prepared:
 
     def validated(self) -> Validated:
         """The strength that predicts measurements which were held out."""
-        return validated_strength(
-            self.asked.stream,
-            self.motion,
-            self.taken,
-            self.image,
-            scale=self.asked.scale,
-            prior=self.rounds.prior,
-            solver=self.rounds.solver,
-            measuring=self.asked.measuring,
-            gain=self.gains,
-            optics=self.rounds.optics,
-            noise=self.noise,
-            skip=self.asked.skip,
-        )
+        gains, noise = self.gains, self.noise
+        return _validated(self.asked, self.motion, self.taken, self.image, self.rounds, gains=gains, noise=noise)
+
+
+def _validated(
+    asked: Asked,
+    motion: Motion,
+    taken: Measurements | Trajectory,
+    image: Float[Array, "H W"],
+    rounds: Rounds,
+    *,
+    gains: Float[np.ndarray, "h w"] | None,
+    noise: float,
+) -> Validated:
+    return validated_strength(
+        asked.stream,
+        motion,
+        taken,
+        image,
+        scale=asked.scale,
+        prior=rounds.prior,
+        solver=rounds.solver,
+        measuring=asked.measuring,
+        gain=gains,
+        optics=rounds.optics,
+        noise=noise,
+        skip=asked.skip,
+    )
 
 
 def prepare(
@@ -254,10 +275,6 @@ def prepare(
         resting = gains_at_rest() if at_rest is None else at_rest.result()
         gains = None if (resting == 1).all() else np.where(known, 1, resting)
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
-    taken = asked.measured(motion, gains)
-    plan = asked.plan(motion, taken, noise)
-    clock.lap("samples")
-
     λ = strength_of_noise(noise, scale, prior) if strength is None else strength
     rounds = Rounds(
         solver=solver,
@@ -268,6 +285,15 @@ def prepare(
         progress=progress,
         keep_images=keep_images,
     )
+    path, found = asked.followed(motion), None
+    with ThreadPoolExecutor(1) as beside:
+        # What strengths are tried on is measured anew where it is no more than parts of the picture.
+        if asked.validates and lens is optics and in_parts(stream, scale, lens):
+            known = {"gains": gains, "noise": noise}
+            found = beside.submit(_validated, asked, motion, path, image, rounds, **known)
+        taken = asked.measured(motion, gains, path)
+        plan = asked.plan(motion, taken, noise)
+        clock.lap("samples")
     prepared = Prepared(asked, motion, taken, gains, resting, noise, plan, rounds, image, None, learned, clock)
     if not prepared.usable:
         return prepared
@@ -275,7 +301,7 @@ def prepare(
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         prepared = replace(prepared, rounds=replace(rounds, optics=Blur.gaussian(shape, σ * scale)))
     if asked.validates:
-        λ, near = prepared.validated()
+        λ, near = prepared.validated() if found is None else found.result()
         rounds = replace(prepared.rounds, strength=jnp.asarray(λ, jnp.float32))
         prepared = replace(prepared, rounds=rounds, near=near)
     clock.lap("strength")

@@ -151,7 +151,7 @@ def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float
 def validated_strength(
     stream: Stream,
     motion: Motion,
-    taken: Measurements,
+    taken: Measurements | Trajectory,
     image: Float[Array, "H W"],
     *,
     scale: int,
@@ -170,7 +170,8 @@ def validated_strength(
     one, one of middling contrast and a rich one, as one part alone may ask for a quarter or for four times of what the
     whole does. A lens makes the whole picture one part, as its blur is made for one size.
 
-    **Arguments:** `taken`, the measurements of the recording along the motion; `image`, X^(0) (`first_picture`);
+    **Arguments:** `taken`, the measurements of the recording along the motion, or where several parts serve
+    (`in_parts`), which are measured anew, its path alone; `image`, X^(0) (`first_picture`);
     `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
     use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`. `noise`: what
     `noise_of_mean` finds, if that is known. `skip`: as of `reconstruct`.
@@ -181,21 +182,24 @@ def validated_strength(
     side = _side_of_parts(stream, scale, optics)
     good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
     moved = motion.moved(len(stream.spikes))
+    all_taken, path = (None, taken) if isinstance(taken, Trajectory) else (taken, taken.path)
+    on_sensor = len(path.position) == 1 if all_taken is None else all_taken.placed.on_sensor
 
     def made(area: tuple[slice, slice]) -> _Part | None:
-        pieces, part, first, merged = taken, stream.part(*area), image[_scaled(area, scale)], False
+        pieces, part, first, merged = all_taken, stream.part(*area), image[_scaled(area, scale)], False
         of_part = None if gain is None else gain[area]
-        if good[area].shape != good.shape or (taken.merged_for > 1).any():
+        if pieces is None or good[area].shape != good.shape or (pieces.merged_for > 1).any():
             # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
             if skip and isinstance(measuring, Intervals):
-                if taken.placed.on_sensor and measuring.noise is None:
-                    path, ends = taken.path.part(*area), measuring.ends
-                    return _part_at_rest(part, path, first, scale=scale, ends=ends, gain=of_part, optics=optics)
+                if on_sensor and measuring.noise is None:
+                    ends = measuring.ends
+                    of_area = path.part(*area)
+                    return _part_at_rest(part, of_area, first, scale=scale, ends=ends, gain=of_part, optics=optics)
                 frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
                 merged = bool(frames_each.mean() <= STRETCH / 2)
             pieces = measured(
                 part,
-                taken.path.part(*area),
+                path.part(*area),
                 scale=scale,
                 measuring=measuring,
                 gain=of_part,
@@ -332,8 +336,12 @@ def _part_at_rest(
 def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
     """Frames over which intervals may be merged so that the same samples serve the picture and the validation: 1 where
     something moves and the whole picture is one part, as what is held out has to be in pieces; None for any."""
-    one_part = max(stream.spikes.shape[1:]) <= _side_of_parts(stream, scale, optics)
-    return 1 if one_part and motion.speed.any() else None
+    return 1 if motion.speed.any() and not in_parts(stream, scale, optics) else None
+
+
+def in_parts(stream: Stream, scale: int, optics: LinearOperator | None = None) -> bool:
+    """Whether strengths are tried on parts of the picture, or on the whole."""
+    return max(stream.spikes.shape[1:]) > _side_of_parts(stream, scale, optics)
 
 
 def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:

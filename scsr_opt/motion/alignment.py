@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Shaped
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.spike_times import SpikeTimes
-from scsr_opt.motion.inverse import bilinear, in_turn
+from scsr_opt.motion.inverse import Corner, corner_of, in_turn, interpolated
 
 Found = TypeVar("Found")
 
@@ -126,20 +126,17 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
 
 
 def along(
-    picture: Float[Array, "h w"],
-    after: Float[Array, ""],
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-    """The picture of a moment, `after` so many frames, moved to the key frame by a motion (sensor pixels per frame and
-    per frame²), and 1 where what a pixel shows is in view then, 0 where it is not."""
-    height, width = picture.shape
+    after: Float[Array, ""], velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"]
+) -> tuple[Corner, Float[Array, "h w"]]:
+    """Where a motion (sensor pixels per frame and per frame²) takes what each pixel of the key frame shows, `after` so
+    many frames, and 1 where it is in view then, 0 where it is not."""
+    height, width = velocity.shape[1:]
     # Rows and columns apart: as one array of places, a pass took five times as long.
     (down, right), (down_more, right_more) = velocity, acceleration
-    row = jnp.arange(height, dtype=picture.dtype)[:, None] + after * down + 0.5 * after**2 * down_more
-    column = jnp.arange(width, dtype=picture.dtype)[None] + after * right + 0.5 * after**2 * right_more
+    row = jnp.arange(height, dtype=after.dtype)[:, None] + after * down + 0.5 * after**2 * down_more
+    column = jnp.arange(width, dtype=after.dtype)[None] + after * right + 0.5 * after**2 * right_more
     inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-    return bilinear(picture[None], row, column)[0], inside.astype(picture.dtype)
+    return corner_of(row, column, height, width), inside.astype(after.dtype)
 
 
 class Drift(NamedTuple):
@@ -170,8 +167,14 @@ def drift(
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
 
-    def find(k: Array) -> tuple[Array, Array]:
-        return (pictures[k], jnp.ones_like(about)) if motion is None else along(pictures[k], after[k], *motion)
+    def place(k: Array) -> tuple[Corner, Array] | None:
+        return None if motion is None else along(after[k], *motion)
+
+    def look(k: Array, placed: tuple[Corner, Array] | None) -> tuple[Array, Array]:
+        if placed is None:
+            return pictures[k], jnp.ones_like(about)
+        corner, inside = placed
+        return interpolated(pictures[k], corner), inside
 
     def add(k: Array, found: tuple[Array, Array], sums: list[Array]) -> list[Array]:
         tau, (value, inside) = after[k], found
@@ -186,7 +189,7 @@ def drift(
     begin = jnp.min(jnp.where(taking_part != 0, numbers, after.size))
     end = jnp.max(jnp.where(taking_part != 0, numbers + 1, 0))
     # Kept apart: as one array they took a quarter longer.
-    sums = in_turn(find, add, [jnp.zeros_like(about)] * 9, begin, end)
+    sums = in_turn(place, look, add, [jnp.zeros_like(about)] * 9, begin, end)
     moments, values = jnp.stack(sums[:5]), jnp.stack(sums[5:])
     # Σ weight, of the regressors τ and τ²/2, and of their products.
     seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])

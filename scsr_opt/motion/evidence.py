@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.motion.alignment import Drift, Stretches, along, drift, smooth
-from scsr_opt.motion.inverse import bilinear, in_turn
+from scsr_opt.motion.inverse import Corner, bilinear, in_turn, interpolated
 from scsr_opt.motion.trajectory import Motion, seen_at
 
 # A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
@@ -84,15 +84,18 @@ def _variance(
     """`Drift.residual` over `Drift.seen`, in two thirds of the time."""
     about = pictures[jnp.argmin(jnp.abs(after))]
 
-    def find(k: Array) -> tuple[Array, Array]:
-        return along(pictures[k], after[k], velocity, acceleration)
+    def place(k: Array) -> tuple[Corner, Array]:
+        return along(after[k], velocity, acceleration)
+
+    def look(k: Array, placed: tuple[Corner, Array]) -> tuple[Array, Array]:
+        return interpolated(pictures[k], placed[0]), placed[1]
 
     def add(_: Array, found: tuple[Array, Array], sums: tuple[Array, ...]) -> tuple[Array, ...]:
         value, inside = found
         value = (value - about) * inside
         return sums[0] + inside, sums[1] + value, sums[2] + value**2
 
-    seen, total, squares = in_turn(find, add, (jnp.zeros_like(about),) * 3, 0, after.size)
+    seen, total, squares = in_turn(place, look, add, (jnp.zeros_like(about),) * 3, 0, after.size)
     return jnp.maximum(squares - total**2 / jnp.maximum(seen, 1e-6), 0) / jnp.maximum(seen, 1)
 
 

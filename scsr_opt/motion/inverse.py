@@ -5,13 +5,14 @@ That is q + d(q, τ) = p with d = v τ + ½ a τ²: at once where the motion is 
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+Place = TypeVar("Place")
 Found = TypeVar("Found")
 Sums = TypeVar("Sums")
 
@@ -128,44 +129,60 @@ def inverse_at(
     return jax.lax.cond(affine, solved, lambda: jnp.stack(jax.lax.while_loop(go_on, refine, begin)[0]))
 
 
-def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:
-    """`field` at (row, column), clamped to its border. A position that is not a number reads the border."""
-    height, width = field.shape[1:]
+class Corner(NamedTuple):
+    """Where bilinear interpolation looks: the upper left of four pixels, by its `number` in the flattened picture, and
+    how far `down` and to the `right` of it."""
+
+    number: Int[Array, "..."]
+    down: Float[Array, "..."]
+    right: Float[Array, "..."]
+
+
+def corner_of(row: Array, column: Array, height: int, width: int) -> Corner:
+    """Of a position on a picture, clamped to its border; the border of one that is not a number."""
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
     top = jnp.clip(row.astype(jnp.int32), 0, max(height - 2, 0))
     left = jnp.clip(column.astype(jnp.int32), 0, max(width - 2, 0))
-    down, right = row - top.astype(row.dtype), column - left.astype(column.dtype)
-    # Indices into the flattened picture, channel by channel, each corner asked for once: otherwise two to ten times as
-    # long.
-    corner = top * width + left
-    below, beside = (width if height > 1 else 0), (1 if width > 1 else 0)
+    return Corner(top * width + left, row - top.astype(row.dtype), column - left.astype(column.dtype))
 
-    def between(flat: Float[Array, " hw"]) -> Float[Array, "..."]:
-        offsets = (0, beside, below, below + beside)
-        a, b, c, d = (flat.at[corner + offset].get(mode="promise_in_bounds") for offset in offsets)
-        upper, lower = a + right * (b - a), c + right * (d - c)
-        return upper + down * (lower - upper)
 
-    return jnp.stack([between(channel.reshape(-1)) for channel in field])
+def interpolated(picture: Float[Array, "h w"], at: Corner) -> Float[Array, "..."]:
+    """The picture there, bilinearly."""
+    height, width = picture.shape
+    below, beside, flat = (width if height > 1 else 0), (1 if width > 1 else 0), picture.reshape(-1)
+    # Each corner asked for once: otherwise two to ten times as long.
+    offsets = (0, beside, below, below + beside)
+    a, b, c, d = (flat.at[at.number + offset].get(mode="promise_in_bounds") for offset in offsets)
+    upper, lower = a + at.right * (b - a), c + at.right * (d - c)
+    return upper + at.down * (lower - upper)
+
+
+def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:
+    """`field` at (row, column), clamped to its border. A position that is not a number reads the border."""
+    at = corner_of(row, column, *field.shape[1:])
+    # Channel by channel: all in one look-up took ten times as long.
+    return jnp.stack([interpolated(channel, at) for channel in field])
 
 
 def in_turn(
-    find: Callable[[Array], Found],
+    place: Callable[[Array], Place],
+    look: Callable[[Array, Place], Found],
     add: Callable[[Array, Found, Sums], Sums],
     sums: Sums,
     begin: Int[Array, ""] | int,
     end: Int[Array, ""] | int,
 ) -> Sums:
-    """`sums` after `add(k, find(k), sums)` for each k from `begin` up to `end`, one at least.
+    """`sums` after `add(k, look(k, place(k)), sums)` for each k from `begin` up to `end`, one at least.
 
-    What is looked up in one turn is added in the next. A look-up that several sums use in the turn that it is made in
-    is compiled into each of them, corner by corner, and took three times as long.
+    What is placed in one turn is looked up in the next and added in the one after. In one turn, a look-up is compiled
+    into each of the sums that use it, and its place into each of its four corners: three and two times as long.
     """
 
-    def turn(k: Array, carry: tuple[Found, Sums]) -> tuple[Found, Sums]:
-        found, sums = carry
-        return find(k + 1), add(k, found, sums)
+    def turn(k: Array, carry: tuple[Place, Found, Sums]) -> tuple[Place, Found, Sums]:
+        placed, found, sums = carry
+        return place(jnp.minimum(k + 2, last)), look(k + 1, placed), add(k, found, sums)
 
     begin, last = jnp.asarray(begin, jnp.int32), jnp.asarray(end, jnp.int32) - 1
-    found, sums = jax.lax.fori_loop(begin, last, turn, (find(begin), sums))
+    first = place(jnp.minimum(begin + 1, last)), look(begin, place(begin)), sums
+    _, found, sums = jax.lax.fori_loop(begin, last, turn, first)
     return add(last, found, sums)

@@ -8,7 +8,7 @@ to lie there and that are seen in the key frame at that point, the one in front.
 hidden in the key frame and the sample has to be left out.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import cast
 
 import equinox as eqx
@@ -21,7 +21,7 @@ from scipy import ndimage
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.motion.alignment import Stretches, along, drift, smooth
 from scsr_opt.motion.evidence import contradicted, typical_noise, variance_along
-from scsr_opt.motion.inverse import bilinear, in_turn, inverse
+from scsr_opt.motion.inverse import Corner, bilinear, in_turn, interpolated, inverse
 from scsr_opt.motion.parametric import generators, parametric
 from scsr_opt.motion.trajectory import Layers, Motion
 
@@ -159,6 +159,11 @@ def _find(
     skip: bool,
 ) -> list[Motion]:
     """The candidates: the largest region that contradicts all so far is given a motion of its own, again and again."""
+
+    def judge(candidate: Callable[[], Motion]) -> tuple[Motion, Bool[np.ndarray, "h w"]]:
+        motion = candidate()
+        return motion, contradicted(pictures, motion) | (motion.speed > fastest)
+
     motions = [background]
     tried, unexplained = np.zeros_like(moving), moving
     for _ in range(_MOST):
@@ -173,12 +178,11 @@ def _find(
         # The region holds what the surface uncovers, too, and in dim light a fit to the pictures may go astray. Of what
         # is fitted to the region and what the dense estimate finds most in it, that is taken which most agree with.
         # Among candidates about as good as the best the first is taken: fits come before constants.
-        fits, wrong = [], []
-        for fit in _candidates(pictures, everywhere, region, skip):
-            fits.append(fit)
-            wrong.append(contradicted(pictures, fit) | (fit.speed > fastest))
-            if skip and (region & wrong[0]).sum() <= _LITTLE * region.sum():
-                break
+        candidates = _candidates(pictures, everywhere, region, skip)
+        judged = in_threads(judge, candidates[:1] if skip else candidates)
+        if skip and (region & judged[0][1]).sum() > _LITTLE * region.sum():
+            judged += in_threads(judge, candidates[1:])
+        fits, wrong = zip(*judged, strict=True)
         against = np.array([(region & here).sum() for here in wrong])
         best = int(np.argmax(against <= _ABOUT * against.min()))
         explained = region & ~wrong[best]
@@ -219,12 +223,15 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
 
 def _candidates(
     pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"], sparse: bool
-) -> Iterator[Motion]:
+) -> list[Callable[[], Motion]]:
     """Motions that a region may have, those first that are preferred where they serve as well; made as asked for."""
     commonest = _commonest(everywhere, region)
-    yield parametric(pictures, start=commonest[0], where=region, sparse=sparse)
-    yield parametric(pictures, start=_affine(everywhere, region), where=region, sparse=sparse)
-    yield from commonest
+
+    def fitted(start: Motion) -> Motion:
+        return parametric(pictures, start=start, where=region, sparse=sparse)
+
+    fits = [lambda: fitted(commonest[0]), lambda: fitted(_affine(everywhere, region))]
+    return [*fits, *(lambda motion=motion: motion for motion in commonest)]
 
 
 def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
@@ -341,15 +348,18 @@ def _sides(
     begin = jnp.min(jnp.where(near > _HARDLY, numbers, after.size))
     end = jnp.max(jnp.where(near > _HARDLY, numbers + 1, 0))
 
-    def find(k: Array) -> tuple[Array, Array]:
-        return along(pictures[k], after[k], velocity, acceleration)
+    def place(k: Array) -> tuple[Corner, Array]:
+        return along(after[k], velocity, acceleration)
+
+    def look(k: Array, placed: tuple[Corner, Array]) -> tuple[Array, Array]:
+        return interpolated(pictures[k], placed[0]), placed[1]
 
     def average(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:
         value, inside = found
         return sums[0] + near[k] * inside * value, sums[1] + near[k] * inside
 
     nothing = jnp.zeros((height, width), jnp.float32)
-    total, weight = in_turn(find, average, (nothing, nothing), begin, end)
+    total, weight = in_turn(place, look, average, (nothing, nothing), begin, end)
     reference = total / jnp.maximum(weight, 1e-6)
 
     def compare(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -360,7 +370,7 @@ def _sides(
         return sums[0] + side * difference[None], sums[1] + side
 
     neither = jnp.zeros((2, height, width), jnp.float32)
-    total, weight = in_turn(find, compare, (neither, neither), 0, after.size)
+    total, weight = in_turn(place, look, compare, (neither, neither), 0, after.size)
     # Out of view: nothing is known, neither for nor against.
     return jnp.where(weight > 0.5, total / jnp.maximum(weight, 1e-6), _ENOUGH / 2)
 

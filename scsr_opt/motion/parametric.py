@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.alignment import Stretches
-from scsr_opt.motion.inverse import bilinear, in_turn
+from scsr_opt.motion.inverse import Corner, bilinear, corner_of, in_turn
 from scsr_opt.motion.trajectory import Motion
 
 # (frames from the key frame that take part, presmoothing in sensor pixels, most Gauss–Newton steps): from near and
@@ -286,6 +286,7 @@ def _fit(
     longest = jnp.maximum(jnp.max(jnp.abs(after[jnp.stack([interval[0], interval[1] - 1])])), 1)
     span = after[interval[1] - 1] - after[interval[0]]
     on = active.reshape(-1)
+    _, height, width = pictures.shape
     key_picture = pictures[jnp.argmin(jnp.abs(after))]
     about = bilinear(key_picture[None], *jnp.asarray(points.position))[0]
 
@@ -293,10 +294,15 @@ def _fit(
         velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
 
         # Moment by moment, so that the sums stay in the cache.
-        def find(b: Array) -> tuple[Array, tuple[Array, Array], Array]:
+        def place(b: Array) -> tuple[Corner, Array]:
             tau = after[b]
             row, column = (points.position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
-            return _value_and_slope(pictures, b, row, column)
+            inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+            return corner_of(row, column, height, width), inside.astype(row.dtype)
+
+        def look(b: Array, placed: tuple[Corner, Array]) -> tuple[Array, tuple[Array, Array], Array]:
+            corner, inside = placed
+            return *_value_and_slope(pictures, b, corner), inside
 
         def add(b: Array, found: tuple[Array, tuple[Array, Array], Array], sums: _Sums) -> _Sums:
             tau, (value, slope, inside) = after[b], found
@@ -308,7 +314,7 @@ def _fit(
                 tuple(sum_ + one * inside for one, sum_ in zip(slope, sums.slopes, strict=True)),
             )
 
-        sums = in_turn(find, add, _Sums.none(about), interval[0], interval[1])
+        sums = in_turn(place, look, add, _Sums.none(about), interval[0], interval[1])
         times, values, slopes = (jnp.stack(of) for of in (sums.times, sums.values, sums.slopes))
         # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
         seen = jnp.maximum(times[0], 1e-6)
@@ -392,17 +398,13 @@ class _Sums(NamedTuple):
 
 
 def _value_and_slope(
-    pictures: Float[Array, "n h w"], number: Array, row: Float[Array, " m"], column: Float[Array, " m"]
-) -> tuple[Float[Array, " m"], tuple[Float[Array, " m"], Float[Array, " m"]], Float[Array, " m"]]:
-    """Bilinear interpolation in the picture of this number, its slope, and 1 inside it, 0 outside."""
+    pictures: Float[Array, "n h w"], number: Array, at: Corner
+) -> tuple[Float[Array, " m"], tuple[Float[Array, " m"], Float[Array, " m"]]]:
+    """Bilinear interpolation in the picture of this number, and its slope."""
     _, height, width = pictures.shape
-    inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-    row, column = jnp.where(inside, row, 0), jnp.where(inside, column, 0)
-    top, left = (jnp.minimum(v.astype(jnp.int32), n - 2) for v, n in ((row, height), (column, width)))
-    down, right = row - top.astype(row.dtype), column - left.astype(row.dtype)
+    down, right = at.down, at.right
     # Out of all pictures: taken out first, one would be copied.
-    flat, corner = pictures.reshape(-1), (number * height + top) * width + left
+    flat, corner = pictures.reshape(-1), number * (height * width) + at.number
     a, b, c, d = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
     above, below = a + right * (b - a), c + right * (d - c)
-    slope = below - above, (1 - down) * (b - a) + down * (d - c)
-    return above + down * (below - above), slope, inside.astype(row.dtype)
+    return above + down * (below - above), (below - above, (1 - down) * (b - a) + down * (d - c))

@@ -181,26 +181,22 @@ class Trajectory(eqx.Module):
         )
         return down, right, visible
 
-    def at(
-        self, row: Array, column: Array, time: Float[Array, " m"], tables: tuple[Array, Array, Array] | None = None
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
-        """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`;
-        `tables`: its own, where they are at hand."""
-        tables = self.tables if tables is None else tables
+    def between(self, row: Int[Array, " m"], column: Int[Array, " m"], time: Float[Array, " m"]) -> "Between":
+        """Where in the tables it stands what pixels (row, column) see at `time`."""
         moments, _, _, width = self.position.shape
         pixel = (row * width + column) * moments
         if moments == 1:
-            index, fraction, following = pixel, jnp.zeros_like(time), pixel
-        else:
-            steps = jnp.clip((time - self.first) / SPACING, 0, moments - 1)
-            whole = jnp.minimum(steps.astype(row.dtype), moments - 2)
-            index, fraction, following = pixel + whole, steps - whole.astype(time.dtype), pixel + whole + 1
+            return Between(pixel, pixel, jnp.zeros_like(time))
+        steps = jnp.clip((time - self.first) / SPACING, 0, moments - 1)
+        whole = jnp.minimum(steps.astype(row.dtype), moments - 2)
+        return Between(pixel + whole, pixel + whole + 1, steps - whole.astype(time.dtype))
 
-        def between(table: Float[Array, " m"]) -> Float[Array, " n"]:
-            before = table.at[index].get(mode="promise_in_bounds")
-            return before + fraction * (table.at[following].get(mode="promise_in_bounds") - before)
-
-        down, right, visible = (between(table) for table in tables)
+    def at(
+        self, row: Int[Array, " m"], column: Int[Array, " m"], time: Float[Array, " m"]
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
+        """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`."""
+        between = self.between(row, column, time)
+        down, right, visible = map(between.read, self.tables)
         return down, right, visible
 
     def part(self, rows: slice, columns: slice) -> "Trajectory":
@@ -228,6 +224,19 @@ class Trajectory(eqx.Module):
         if self.visible.shape[0] == 1:
             return np.zeros(self.visible.shape[1:], np.float32)
         return np.asarray(_unsteady(self.visible))
+
+
+class Between(NamedTuple):
+    """Entries of a trajectory's tables: one `before` and one `after`, and which `share` of the way lies behind."""
+
+    before: Int[Array, " m"]
+    after: Int[Array, " m"]
+    share: Float[Array, " m"]
+
+    def read(self, table: Float[Array, " entries"]) -> Float[Array, " m"]:
+        """What a table says there."""
+        before, after = (table.at[entry].get(mode="promise_in_bounds") for entry in (self.before, self.after))
+        return before + self.share * (after - before)
 
 
 @partial(jax.jit, static_argnames="shape")
@@ -356,9 +365,11 @@ def _seen(
     nowhere = jnp.zeros_like(velocity[0, :, ::every, ::every])
 
     def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
-        def find(k: Array) -> tuple[Array, Array]:
+        def place(k: Array) -> Array:
             faster = None if acceleration is None else acceleration[k]
-            here = inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every)
+            return inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every)
+
+        def look(k: Array, here: Array) -> tuple[Array, Array]:
             return here, bilinear(member[k][None], here[0], here[1])[0]
 
         def nearer(_: Array, found: tuple[Array, Array], so_far: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -368,7 +379,7 @@ def _seen(
             return jnp.where(better[None], here, position), jnp.where(better, belongs, part)
 
         nobody = nowhere, jnp.full_like(nowhere[0], -1)
-        position, part = in_turn(find, nearer, nobody, 0, len(velocity))
+        position, part = in_turn(place, look, nearer, nobody, 0, len(velocity))
         return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
 
     return jax.lax.map(one, after)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from scsr_opt.motion.alignment import Stretches, along, smooth
 from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest
+from scsr_opt.motion.inverse import interpolated
 from scsr_opt.motion.trajectory import Motion, Trust
 
 # The pictures are compared after this presmoothing (sensor pixels): coarse enough that aliasing between pixels does not
@@ -66,7 +67,11 @@ def _share(
     lag: Int[Array, ""],
 ) -> Float[Array, "n h w"]:
     # Picture by picture, so that what is found of one is still in the cache when it is used.
-    values, inside = jax.lax.map(lambda one: along(one[0], one[1], velocity, acceleration), (pictures, moments))
+    def moved(one: tuple[Array, Array]) -> tuple[Array, Array]:
+        corner, inside = along(one[1], velocity, acceleration)
+        return interpolated(one[0], corner), inside
+
+    values, inside = jax.lax.map(moved, (pictures, moments))
     near = jnp.exp(-0.5 * (moments / _PRESENT) ** 2)[:, None, None] * inside
     # The nearest moment always takes part, however far it is.
     near = near + 1e-6 * (jnp.abs(moments) == jnp.min(jnp.abs(moments))).astype(jnp.float32)[:, None, None]

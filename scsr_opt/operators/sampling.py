@@ -28,7 +28,8 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
-from scsr_opt.motion.trajectory import Trajectory
+from scsr_opt.motion.inverse import in_turn
+from scsr_opt.motion.trajectory import Between, Trajectory
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.operator import LinearOperator
@@ -353,35 +354,42 @@ def place(
 
     tables, (begins, size) = path.tables, _pieces(full.size)
 
-    def position(number: Array, carry: Any, begin: Array) -> Any:
-        weight, taps = carry
-
+    def piece(carry: Any, begin: Array) -> Any:
         def of_piece(field: Shaped[Array, " n"]) -> Shaped[Array, " m"]:
             return jax.lax.dynamic_slice_in_dim(field, begin, size)
 
         row, column, positions = of_piece(rows), of_piece(columns), of_piece(wanted)
-        time = moments(of_piece(start), of_piece(stop), positions, number)
-        down, right, seen = path.at(row, column, time, tables)
-        down, right = down * grid, right * grid
-        # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
-        inside = (down >= -1e-3) & (right >= -1e-3)
-        inside &= (down <= height - grid + 1e-3) & (right <= width - grid + 1e-3)
-        # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
-        down = jnp.clip(jnp.where(inside, down, 0), 0, height - grid)
-        right = jnp.clip(jnp.where(inside, right, 0), 0, width - grid)
-        top, left = down.astype(jnp.int32), right.astype(jnp.int32)
-        there = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
-        # A sample counts as far as it can be used at each of its positions.
-        before = of_piece(weight)
-        least = jnp.where(number < positions, jnp.minimum(before, of_piece(full) * jnp.where(inside, seen, 0)), before)
-        taps = jax.tree.map(
-            lambda field, new: jax.lax.dynamic_update_slice(field, new[None], (number, begin)), taps, there
-        )
-        return jax.lax.dynamic_update_slice_in_dim(weight, least, begin, 0), taps
+        since, until, whole = of_piece(start), of_piece(stop), of_piece(full)
 
-    def piece(carry: Any, begin: Array) -> Any:
-        most = jnp.max(jax.lax.dynamic_slice_in_dim(wanted, begin, size))
-        return jax.lax.fori_loop(np.int32(0), most, lambda k, carry: position(k, carry, begin), carry), None
+        def between(number: Array) -> Between:
+            return path.between(row, column, moments(since, until, positions, number))
+
+        def look(_: Array, at: Between) -> tuple[Array, ...]:
+            return tuple(map(at.read, tables))
+
+        def add(number: Array, found: tuple[Array, ...], carry: Any) -> Any:
+            weight, taps = carry
+            down, right, seen = found
+            down, right = down * grid, right * grid
+            # A tolerance of a thousandth of a pixel, so that rounding does not drop the border row of a scene at rest.
+            inside = (down >= -1e-3) & (right >= -1e-3)
+            inside &= (down <= height - grid + 1e-3) & (right <= width - grid + 1e-3)
+            # What lies outside is read somewhere inside, with weight 0; so is a position that is not a number.
+            down = jnp.clip(jnp.where(inside, down, 0), 0, height - grid)
+            right = jnp.clip(jnp.where(inside, right, 0), 0, width - grid)
+            top, left = down.astype(jnp.int32), right.astype(jnp.int32)
+            there = Taps(top * width + left, down - top.astype(down.dtype), right - left.astype(right.dtype))
+            # A sample counts as far as it can be used at each of its positions.
+            usable = jnp.minimum(weight, whole * jnp.where(inside, seen, 0))
+            taps = jax.tree.map(
+                lambda field, new: jax.lax.dynamic_update_slice(field, new[None], (number, begin)), taps, there
+            )
+            return jnp.where(number < positions, usable, weight), taps
+
+        weight, taps = carry
+        most = jnp.maximum(jnp.max(positions), 1)
+        least, taps = in_turn(between, look, add, (whole, taps), 0, most)
+        return (jax.lax.dynamic_update_slice_in_dim(weight, least, begin, 0), taps), None
 
     nothing = jnp.zeros((finest, full.size), start.dtype)
     first = full, Taps(nothing.astype(jnp.int32), nothing, nothing)
@@ -481,12 +489,11 @@ def with_exposure(
         nothing = jnp.zeros_like(part)
 
         # What was read of a piece is still in the cache when it is spread: 0.6 of the time of reading all first.
-        def read(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
-            seen, mean = found
-            here = _read(u, at.taps(number))
-            return seen.at[number].set(here), mean + jnp.where(number < at.positions, each * here, 0)
+        def read(number: Array, seen: Array) -> Array:
+            return seen.at[number].set(_read(u, at.taps(number)))
 
-        seen, mean = jax.lax.fori_loop(np.int32(0), most, read, (jnp.stack([nothing] * placed.finest), nothing))
+        seen = jax.lax.fori_loop(np.int32(0), most, read, jnp.stack([nothing] * placed.finest))
+        mean = each * jnp.sum(jnp.where(placed.numbers[:, None] < at.positions[None], seen, 0), axis=0)
 
         def add(number: Array, total: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
             off = jnp.where(number < at.positions, each * part * (seen[number] - mean), 0)

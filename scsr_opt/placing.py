@@ -113,7 +113,8 @@ class Measurements(NamedTuple):
       cut to it (`scsr_opt.cutting`).
     - `light`: (n,), their weights before anything was cut.
     - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
-    - `merged_for`: (h, w), frames over which the intervals of a pixel were merged.
+    - `still_for`: (h, w), frames over which what a pixel sees hardly moves; `merged_for`: those over which its
+      intervals were merged, which may be fewer.
     - `path`: where in the key frame lies what the pixels see.
     """
 
@@ -121,6 +122,7 @@ class Measurements(NamedTuple):
     light: Float[np.ndarray, " n"]
     padded: Samples
     placed: PlacedSamples
+    still_for: Int[np.ndarray, "h w"]
     merged_for: Int[np.ndarray, "h w"]
     path: Trajectory
 
@@ -192,20 +194,21 @@ def measured(
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
     speeds = path.speeds
     fastest = speeds.most
-    still_for, run = np.ones((height, width), np.int32), 1
+    still_for = merged_for = np.ones((height, width), np.int32)
+    run = 1
     if merge and isinstance(measuring, Intervals):
         with np.errstate(divide="ignore", over="ignore"):
             still = _MERGED_MOTION / (scale * fastest)
             # A merged interval has one weight.
             steady = _MERGED_CHANGE / path.unsteady
         most = frames if longest is None else min(longest, frames)
-        possible = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, most).astype(np.int32)
-        worthwhile = longest is not None or np.mean(possible >= _MERGED_LONG) >= _MERGED_SHARE
-        still_for = possible if worthwhile else still_for
+        still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
+        worthwhile = longest is not None or np.mean(still_for >= _MERGED_LONG) >= _MERGED_SHARE
+        merged_for = np.minimum(still_for, most) if worthwhile else merged_for
         with np.errstate(divide="ignore"):
             run = np.clip(_FARTHEST / fastest, 1, RUN).astype(np.int32)
     samples = measuring(
-        stream.spikes, white_rate=stream.white_rate, still_for=still_for, run=run, bad_pixels=stream.bad_pixels
+        stream.spikes, white_rate=stream.white_rate, still_for=merged_for, run=run, bad_pixels=stream.bad_pixels
     )  # fmt: skip
     light = samples.weight
     if isinstance(measuring, Intervals) and measuring.ends > 0:
@@ -226,7 +229,7 @@ def measured(
         finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
         on_sensor=on_sensor and path.position.shape[0] == 1,
     )
-    return Measurements(samples, light, padded, placed, still_for, path)
+    return Measurements(samples, light, padded, placed, still_for, merged_for, path)
 
 
 def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:

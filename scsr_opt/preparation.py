@@ -111,7 +111,8 @@ class Asked:
             measuring=self.measuring,
             gain=gain,
             merge=self.skip,
-            longest=longest_merged(self.stream, motion, self.scale, self.lens),
+            # Where strengths are not tried, nothing has to stay in pieces for that.
+            longest=longest_merged(self.stream, motion, self.scale, self.lens) if self.validates else None,
             on_sensor=self.skip and not self.refine,
         )
 
@@ -123,6 +124,7 @@ class Asked:
         plan = plan_of(
             self.stream.spikes,
             motion,
+            taken.still_for,
             taken.merged_for,
             pixel=samples.row * self.stream.spikes.shape[2] + samples.column,
             light=taken.light,

@@ -52,16 +52,14 @@ class Kind(enum.IntEnum):
     FAST = 4
     SATURATED = 5
 
-    @property
-    def reason(self) -> str:
-        """What is done there, in words."""
-        return _REASONS[self]
 
-
+# Where nothing moves, and why its measurements may not be merged all the same.
+_AT_REST = "nothing moves: no motion, and a pixel's intervals are merged into one"
+_APART = "nothing moves: no motion, but as so small a picture, or so little at rest, gains little, nothing is merged"
 _REASONS = {
-    Kind.STATIC: "nothing moves: one measurement for each pixel that is in view all the time, no motion",
-    Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as static",
-    Kind.MOVING: "moves: every interval is placed on its own",
+    Kind.STATIC: _AT_REST,
+    Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
+    Kind.MOVING: "moves or changes: every interval is placed on its own",
     Kind.DARK: f"fewer than {_DARK:g} spikes a pixel: what there is is used in full, and smoothed",
     Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
@@ -77,7 +75,7 @@ class Plan:
     - `merged_for`: (rows, columns), frames over which a pixel's intervals are merged, the least in the tile.
     - `used`: (rows, columns), the share of the light whose place in the key frame is known and in view.
     - `scene`: the motion of the whole: "at rest", "one motion", "layers" or "a motion for each pixel".
-    - `intervals`: measurements that there would be without merging; `samples`: those that there are.
+    - `intervals`: measurements that there would be if nothing were left out; `samples`: those that are used.
     """
 
     kind: Int[np.ndarray, "rows columns"]
@@ -91,6 +89,11 @@ class Plan:
     def share(self, kind: Kind) -> float:
         """The share of the tiles that are of a kind."""
         return float(np.mean(self.kind == kind))
+
+    def reason(self, kind: Kind) -> str:
+        """What is done in tiles of a kind, in words."""
+        merged = bool((self.merged_for[self.kind == kind] > 1).any())
+        return _APART if kind is Kind.STATIC and not merged else _REASONS[kind]
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -106,13 +109,14 @@ class Plan:
         for kind in sorted(Kind, key=self.share, reverse=True):
             share = 100 * self.share(kind)
             if share > 0:
-                text.append(f"{f'{share:.0f}' if share >= 1 else 'under 1'} % of the tiles: {kind.reason}.")
+                text.append(f"{f'{share:.0f}' if share >= 1 else 'under 1'} % of the tiles: {self.reason(kind)}.")
         return text
 
 
 def plan_of(
     spikes: Shaped[np.ndarray, "T h w"],
     motion: Motion,
+    still_for: Int[np.ndarray, "h w"],
     merged_for: Int[np.ndarray, "h w"],
     *,
     pixel: Int[np.ndarray, " n"],
@@ -126,7 +130,8 @@ def plan_of(
     tile's pixels, with a false-alarm rate of 0.1 %).
 
     **Arguments:**
-    - `merged_for`: frames over which each pixel's intervals were merged.
+    - `still_for`, `merged_for`: frames over which what each pixel sees hardly moves, and those over which its
+      intervals were merged.
     - `pixel`, `light`, `used`: of each sample, the flattened sensor pixel, its weight as measured, and as placed.
     - `noise`: standard deviation of a pixel's mean number of spikes per frame.
     """
@@ -134,7 +139,7 @@ def plan_of(
     count = spike_counts(spikes)
     fired = count.astype(np.float32) / np.float32(frames)
     # A pixel whose weight changes for a moment, as chance may have it, makes nothing move.
-    still = merged_for >= frames
+    still = still_for >= frames
     farthest = motion.speed + np.hypot(*motion.acceleration) * np.float32(frames / 2)
     as_little = np.asarray(farthest <= farthest[still].max(initial=0), np.float32)
     pixels = _tiles(np.ones_like(fired), np.add)
@@ -163,7 +168,7 @@ def plan_of(
         used=share.astype(np.float32),
         scene=_scene(motion),
         intervals=int(count.sum()) + int(np.count_nonzero(count)) + int(np.count_nonzero(count == 0)),
-        samples=pixel.size,
+        samples=int(np.count_nonzero(used)),
     )
 
 

@@ -16,6 +16,7 @@ from scsr_opt.motion import Motion, estimate_motion
 from scsr_opt.operators.sampling import accumulate
 from scsr_opt.placing import Stream, measured
 from scsr_opt.priors import default_prior
+from scsr_opt.reconstruction import _some
 from scsr_opt.report import plan_figure
 from scsr_opt.skip import TILE, Kind, plan_of
 
@@ -64,34 +65,71 @@ SCENES = {
 }
 
 
-def both(name: str) -> tuple[Stream, np.ndarray, Solution, Solution]:
+def all_of(name: str) -> tuple[Stream, np.ndarray, Solution, list[Solution]]:
+    """The full computation, and two that skip: with a strength that is looked for, for which nothing is merged where
+    something moves in so small a picture, and with that of the full one, where what is still is merged."""
     made = simulate(SCENES[name](), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
     spikes = np.array(made.spikes)
     if name == "hot pixel":
         spikes[:, 40, 40] = 1
-    full, skipping = (reconstruct(spikes, scale=SCALE, key=KEY, skip=skip) for skip in (False, True))
+    full = reconstruct(spikes, scale=SCALE, key=KEY, skip=False)
+    skipping = [reconstruct(spikes, scale=SCALE, key=KEY, strength=λ) for λ in (None, full.stats["strength"])]
     return Stream(spikes, KEY, 0.6, None), made.truth(KEY), full, skipping
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
-    stream, truth, full, skipping = both(name)
-    assert full.plan is None and skipping.plan is not None
-    assert full.result.good and skipping.result.good
-    # The solve ends at a relative residual of 1e-4, which leaves far less than a tenth of these bounds.
-    assert psnr(truth, skipping.image, 8) > psnr(truth, full.image, 8) - 0.03
-    side = TILE * SCALE
-    change = (skipping.image - full.image).reshape(160 // side, side, 160 // side, side).mean((1, 3))
-    assert np.abs(change).max() < 1 / 255
-    assert full.velocity is not None and np.array_equal(full.velocity, np.asarray(skipping.velocity))
+    stream, truth, full, skipping = all_of(name)
+    assert full.plan is None and full.result.good and full.velocity is not None
     motion = Motion.of_velocity(np.asarray(full.velocity))
     every = accumulate(measured(stream, motion, scale=SCALE, measuring=Intervals(), merge=False).placed)
     strength, prior = full.stats["strength"], default_prior(SCALE)
-    values = [
-        float(every.value(jnp.asarray(s.image)) + strength * prior.value(jnp.asarray(s.image)))
-        for s in (full, skipping)
-    ]
-    assert values[1] < values[0] * 1.001
+
+    def objective(solution: Solution) -> float:
+        image = jnp.asarray(solution.image)
+        return float(every.value(image) + strength * prior.value(image))
+
+    side = TILE * SCALE
+    for solution in skipping:
+        assert solution.plan is not None and solution.result.good
+        # The solve ends at a relative residual of 1e-4, which leaves far less than a tenth of these bounds.
+        assert psnr(truth, solution.image, 8) > psnr(truth, full.image, 8) - 0.03
+        change = (solution.image - full.image).reshape(160 // side, side, 160 // side, side).mean((1, 3))
+        assert np.abs(change).max() < 1 / 255
+        assert np.array_equal(full.velocity, np.asarray(solution.velocity))
+        assert objective(solution) < objective(full) * 1.001
+
+
+def test_what_is_still_is_told_and_merged_beside_what_moves():
+    """Unless the strength is tried on the whole of so small a picture, for which intervals have to stay apart."""
+    scene = MovingObject(WALL, BRICK, (0.4, 0.6), shape=Box(30.0, 30.0))
+    spikes = simulate(scene, scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=1).spikes
+    looked_for = reconstruct(spikes, scale=SCALE)
+    λ = looked_for.stats["strength"]
+    given, full = (reconstruct(spikes, scale=SCALE, strength=λ, skip=skip) for skip in (True, False))
+    assert looked_for.plan is not None and given.plan is not None
+    for plan, words in ((looked_for.plan, "nothing is merged"), (given.plan, "merged into one")):
+        assert 0.3 < plan.share(Kind.STATIC) + plan.share(Kind.UNIFORM) < 1
+        assert any("nothing moves" in line and words in line for line in plan.lines())
+    # About half of the sensor rests, and an interval there lasts three frames.
+    assert given.stats["samples"] < 0.7 * looked_for.stats["samples"]
+    assert given.plan.samples == given.stats["samples"]
+    truth = scene.frame(KEY)
+    assert psnr(truth, given.image, 8) > psnr(truth, full.image, 8) - 0.03
+
+
+def test_the_pixels_that_tell_of_a_fixed_pattern_are_no_pattern():
+    for shape in ((80, 80), (250, 400)):
+        some = _some(np.ones(shape, bool))
+        assert some.sum() == 400
+        # Of 400 by chance half lie in every second column: six standard deviations.
+        assert abs(int(some[:, ::2].sum()) - 200) < 60 and abs(int(some[::2].sum()) - 200) < 60
+
+
+def test_a_recording_that_shows_nothing_has_a_plan_too():
+    solution = reconstruct(np.zeros((20, 20, 30), np.uint8), scale=SCALE)
+    assert not solution.result.good and solution.plan is not None
+    assert solution.stats["plan"]["samples"] == 600 and solution.stats["plan"]["tiles"]["dark"] == 1
 
 
 def test_what_is_in_no_layer_is_not_taken_for_still():
@@ -128,7 +166,7 @@ def plan(spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 
     light = np.ones(each.size, np.float32)
     merged = np.full((height, width), merged_for, np.int32)
     motion = Motion.none(height, width)
-    return plan_of(spikes, motion, merged, pixel=each, light=light, used=used * light, noise=noise)
+    return plan_of(spikes, motion, merged, merged, pixel=each, light=light, used=used * light, noise=noise)
 
 
 def test_each_kind_of_tile_is_told():
@@ -167,7 +205,7 @@ def test_a_plan_is_told_in_words_numbers_and_a_picture(tmp_path):
     solution = reconstruct(made.spikes, scale=SCALE)
     assert solution.plan is not None
     lines = solution.plan.lines()
-    assert lines[0] == "Scene: at rest." and any("one measurement for each pixel" in line for line in lines)
+    assert lines[0] == "Scene: at rest." and any("merged into one" in line for line in lines)
     numbers = solution.stats["plan"]
     assert numbers["samples"] < numbers["intervals"] and sum(numbers["tiles"].values()) == pytest.approx(1, abs=1e-3)
     plan_figure(solution, scale=SCALE, title="wall").savefig(tmp_path / "plan.png")

@@ -124,9 +124,9 @@ def _explained(solution: Any) -> list[str]:
     if solution.plan is None:
         return ["Nothing was skipped."]
     parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.stats["seconds"].items())
-    # The residual is of the whole picture, whatever was skipped on the way there.
+    # Of the whole picture, no part of which is left out of an iteration; of the measurements as they were merged.
     left = [
-        f"One more iteration would change the whole picture by {100 * stage.residual:.1g} % at most."
+        f"One more iteration with these measurements would change the picture by {100 * stage.residual:.1g} % at most."
         for stage in solution.stages[-1:]
     ]
     return [*solution.plan.lines(), *left, f"Time: {parts}."]

@@ -157,6 +157,10 @@ _OF_KIND = {
 }
 
 
+# Inches.
+_TALLEST = 12.0
+
+
 def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> Figure:
     """What each tile of the scene asked for, in colour over the picture, and the reasons in words.
 
@@ -168,13 +172,15 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
     if plan is None:
         raise InputError("This solution has no plan, as nothing was skipped: solve with skip=True for one.")
     height, width = solution.image.shape
-    across = 7.0
+    # A tall picture is shown smaller, and the words below it are not.
+    wide = 7.0
+    across = min(wide, _TALLEST * width / height)
     tall = across * height / width
     lines = plan.lines()
     shown = [kind for kind in Kind if plan.share(kind) > 0]
     top = _MARGIN + (_TITLE if title else 0)
     with matplotlib.rc_context(_STYLE):
-        drawn = Figure(figsize=(across + 2 * _MARGIN, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
+        drawn = Figure(figsize=(wide + 2 * _MARGIN, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
         axes = _axes(drawn, _MARGIN, top, across, tall)
         _picture(axes, solution.image, _white_level([solution.image]))
         step = plan.tile * scale
@@ -187,11 +193,11 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         if title:
             axes.set_title(title, loc="left", fontsize=10)
-        below = _axes(drawn, _MARGIN, top + tall, across, 0.2 * (len(lines) + 1))
+        below = _axes(drawn, _MARGIN, top + tall, wide, 0.2 * (len(lines) + 1))
         below.set_axis_off()
         for number, line in enumerate(lines):
             y = 1 - (number + 0.8) / (len(lines) + 1)
-            kind = next((kind for kind in shown if line.endswith(f"{kind.reason}.")), None)
+            kind = next((kind for kind in shown if line.endswith(f"{plan.reason(kind)}.")), None)
             if kind is not None and _OF_KIND[kind] is not None:
                 below.plot(0.008, y, "s", color=_OF_KIND[kind], alpha=0.6, markersize=7)
             below.text(0.025, y, line, va="center", fontsize=8)

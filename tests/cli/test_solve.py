@@ -53,7 +53,7 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
     assert "Time: motion 0.50 s." in said
-    assert "One more iteration would change the whole picture by 0.02 % at most." in said
+    assert "One more iteration with these measurements would change the picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
         assert figure.width > figure.height
 

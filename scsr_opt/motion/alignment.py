@@ -126,15 +126,15 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
 
 
 def along(
-    after: Float[Array, ""], velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"]
-) -> tuple[Corner, Float[Array, "h w"]]:
+    after: Float[Array, ""], velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], *, every: int = 1
+) -> tuple[Corner, Float[Array, "rows columns"]]:
     """Where a motion (sensor pixels per frame and per frame²) takes what each pixel of the key frame shows, `after` so
-    many frames, and 1 where it is in view then, 0 where it is not."""
+    many frames, and 1 where it is in view then, 0 where it is not; with `every`, of one row and column in so many."""
     height, width = velocity.shape[1:]
     # Rows and columns apart: as one array of places, a pass took five times as long.
-    (down, right), (down_more, right_more) = velocity, acceleration
-    row = jnp.arange(height, dtype=after.dtype)[:, None] + after * down + 0.5 * after**2 * down_more
-    column = jnp.arange(width, dtype=after.dtype)[None] + after * right + 0.5 * after**2 * right_more
+    (down, right), (down_more, right_more) = (of[:, ::every, ::every] for of in (velocity, acceleration))
+    row = jnp.arange(0, height, every, dtype=after.dtype)[:, None] + after * down + 0.5 * after**2 * down_more
+    column = jnp.arange(0, width, every, dtype=after.dtype)[None] + after * right + 0.5 * after**2 * right_more
     inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
     return corner_of(row, column, height, width), inside.astype(after.dtype)
 

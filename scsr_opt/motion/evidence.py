@@ -1,5 +1,6 @@
 """Does the recording contradict a motion? A test on statistics, for each pixel's surroundings."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -67,25 +68,29 @@ def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarr
     return pictures.once("at rest", found)
 
 
-def variance_along(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> Float[np.ndarray, "h w"]:
-    """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels."""
+def variance_along(
+    pictures: Stretches, motion: Motion, sharpness: float | int = 1.0, *, every: int = 1
+) -> Float[np.ndarray, "rows columns"]:
+    """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels; with `every`, of one row and
+    column in so many."""
     smoothed = pictures.presmoothed(sharpness)
     velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    return np.asarray(_variance(smoothed.picture, smoothed.after, velocity, acceleration))
+    return np.asarray(_variance(smoothed.picture, smoothed.after, velocity, acceleration, every))
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="every")
 def _variance(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"],
-) -> Float[Array, "h w"]:
+    every: int,
+) -> Float[Array, "rows columns"]:
     """`Drift.residual` over `Drift.seen`, in two thirds of the time."""
-    about = pictures[jnp.argmin(jnp.abs(after))]
+    about = pictures[jnp.argmin(jnp.abs(after)), ::every, ::every]
 
     def place(k: Array) -> tuple[Corner, Array]:
-        return along(after[k], velocity, acceleration)
+        return along(after[k], velocity, acceleration, every=every)
 
     def look(k: Array, placed: tuple[Corner, Array]) -> tuple[Array, Array]:
         return interpolated(pictures[k], placed[0]), placed[1]

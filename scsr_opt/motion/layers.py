@@ -145,7 +145,7 @@ def _layers(
         label=label.astype(np.int32),
         depth=np.zeros(len(motions), np.int32),
     )
-    layers = eqx.tree_at(lambda found: found.depth, layers, _depth(pictures, layers))
+    layers = eqx.tree_at(lambda found: found.depth, layers, _depth(pictures, layers, sparse=skip))
     return Motion.of_layers(layers, everywhere.confidence)
 
 
@@ -259,7 +259,9 @@ def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h 
         return motion
     found = parametric(pictures, start=motion, where=inside, fitted=True, sparse=sparse)
     # Fewer pixels may tell less: the better of the two.
-    before, after = (variance_along(pictures, m)[inside].mean() for m in (motion, found))
+    every = 2 if sparse else 1
+    inside = inside[::every, ::every]
+    before, after = (variance_along(pictures, m, every=every)[inside].mean() for m in (motion, found))
     return found if after < before else motion
 
 
@@ -376,24 +378,30 @@ def _sides(
 
 
 @jax.jit
-def _look_up(fields: Float[Array, "c h w"], position: Float[Array, "n 2 h w"]) -> list[Float[Array, "n h w"]]:
+def _look_up(
+    fields: Float[Array, "c h w"], position: Float[Array, "n 2 rows columns"]
+) -> list[Float[Array, "n rows columns"]]:
     return jax.lax.map(lambda q: [bilinear(field[None], q[0], q[1])[0] for field in fields], position)
 
 
-def _depth(pictures: Stretches, layers: Layers) -> Int[np.ndarray, " layers"]:
-    """How many other layers each is in front of: where two come to lie on one pixel, which of them does it show?"""
-    sharp = pictures.presmoothed(_SHARPNESS)
+def _depth(pictures: Stretches, layers: Layers, *, sparse: bool) -> Int[np.ndarray, " layers"]:
+    """How many other layers each is in front of: where two come to lie on one pixel, which of them does it show?
+
+    `sparse`: one row and column in two vote.
+    """
+    sharp, every = pictures.presmoothed(_SHARPNESS), 2 if sparse else 1
     number, some = len(layers.depth), slice(None, None, _EVERY)
+    voting = np.asarray(sharp.picture[some, ::every, ::every])
     near = (jnp.abs(sharp.after) <= 10).astype(jnp.float32)
     shown, there = [], []
     for k in range(number):
         velocity, acceleration = jnp.asarray(layers.velocity[k]), jnp.asarray(layers.acceleration[k])
-        origin = inverse(layers.velocity[k], layers.acceleration[k], sharp.after[some])
+        origin = inverse(layers.velocity[k], layers.acceleration[k], sharp.after[some], every=every)
         key_picture = drift(sharp.picture, sharp.after, near, (velocity, acceleration)).mean
         membership = jnp.asarray(layers.label == k, jnp.float32)
         both = jnp.stack([key_picture, membership])
         picture, member = (np.asarray(of) for of in _look_up(both, origin))
-        shown.append((picture - np.asarray(sharp.picture[some])) ** 2)
+        shown.append((picture - voting) ** 2)
         there.append(member > 0.5)
     wins = np.zeros(number, np.int32)
     for front in range(number):

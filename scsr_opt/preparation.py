@@ -116,6 +116,32 @@ class Asked:
             on_sensor=self.skip and not self.refine,
         )
 
+    def validated(
+        self,
+        motion: Motion,
+        taken: Measurements | Trajectory,
+        image: Float[Array, "H W"],
+        rounds: Rounds,
+        *,
+        gain: Float[np.ndarray, "h w"] | None,
+        noise: float,
+    ) -> Validated:
+        """The strength that predicts measurements which were held out; `taken`: as of `validated_strength`."""
+        return validated_strength(
+            self.stream,
+            motion,
+            taken,
+            image,
+            scale=self.scale,
+            prior=rounds.prior,
+            solver=rounds.solver,
+            measuring=self.measuring,
+            gain=gain,
+            optics=rounds.optics,
+            noise=noise,
+            skip=self.skip,
+        )
+
     def plan(self, motion: Motion, taken: Measurements, noise: float) -> Plan | None:
         """What the measurements were made by; None if nothing was to be skipped."""
         if not self.skip:
@@ -166,34 +192,8 @@ class Prepared:
 
     def validated(self) -> Validated:
         """The strength that predicts measurements which were held out."""
-        gains, noise = self.gains, self.noise
-        return _validated(self.asked, self.motion, self.taken, self.image, self.rounds, gains=gains, noise=noise)
-
-
-def _validated(
-    asked: Asked,
-    motion: Motion,
-    taken: Measurements | Trajectory,
-    image: Float[Array, "H W"],
-    rounds: Rounds,
-    *,
-    gains: Float[np.ndarray, "h w"] | None,
-    noise: float,
-) -> Validated:
-    return validated_strength(
-        asked.stream,
-        motion,
-        taken,
-        image,
-        scale=asked.scale,
-        prior=rounds.prior,
-        solver=rounds.solver,
-        measuring=asked.measuring,
-        gain=gains,
-        optics=rounds.optics,
-        noise=noise,
-        skip=asked.skip,
-    )
+        asked = self.asked
+        return asked.validated(self.motion, self.taken, self.image, self.rounds, gain=self.gains, noise=self.noise)
 
 
 def prepare(
@@ -291,8 +291,7 @@ def prepare(
     with ThreadPoolExecutor(1) as beside:
         # What strengths are tried on is measured anew where it is no more than parts of the picture.
         if asked.validates and lens is optics and in_parts(stream, scale, lens):
-            known = {"gains": gains, "noise": noise}
-            found = beside.submit(_validated, asked, motion, path, image, rounds, **known)
+            found = beside.submit(asked.validated, motion, path, image, rounds, gain=gains, noise=noise)
         taken = asked.measured(motion, gains, path)
         plan = asked.plan(motion, taken, noise)
         clock.lap("samples")
@@ -306,7 +305,7 @@ def prepare(
         λ, near = prepared.validated() if found is None else found.result()
         rounds = replace(prepared.rounds, strength=jnp.asarray(λ, jnp.float32))
         prepared = replace(prepared, rounds=rounds, near=near)
-    clock.lap("strength")
+    clock.lap("strength")  # what it takes beyond the samples, where it is looked for beside them
     return prepared
 
 

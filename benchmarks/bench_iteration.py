@@ -21,11 +21,11 @@ from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import Progress
-from scsr_opt.solvers import FISTA, CondatVu, Problem, Solver
+from scsr_opt.solvers import FISTA, CondatVu, NormBound, Problem, Solver
 
 _ROUNDS = 15
 _IN_A_ROW = 10
-_ITERATIONS = {"FISTA": (FISTA(), plain_fista), "CondatVu": (CondatVu(), plain_condat_vu)}
+_ITERATIONS = {"FISTA": (FISTA(step_size=NormBound()), plain_fista), "CondatVu": (CondatVu(), plain_condat_vu)}
 _WAYS = ("fused", "plain")
 SCALE = 4
 

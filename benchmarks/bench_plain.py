@@ -36,7 +36,8 @@ _relaxed = jax.jit(lambda a, new, old: old + a * (new - old))
 
 
 def plain_fista(problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, tuple[Array, ...]]:
-    """One iteration of `FISTA` with `HuberTotalVariation`, operator by operator; and f, λΨ and the residual."""
+    """One iteration of `FISTA` with `HuberTotalVariation` and one step size for all pixels, operator by operator; and
+    f, λΨ and the residual."""
     data, prior, step = problem.data, problem.prior, state.step_size
     assert isinstance(prior, HuberTotalVariation) and data.optics is None
     before = _ahead_by(-step, state.ahead, state.ahead_gradient)

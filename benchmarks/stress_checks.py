@@ -92,10 +92,11 @@ def measure(
     image: Float[Array, "H W"],
     origin: Float[Array, "H W"],
     gradient_step: Float[Array, "H W"],
-    step_size: Float[Array, ""],
+    step_size: Float[Array, "*pixels"],
     dual: Any,
 ) -> Measured:
-    """Everything that the bounds are made of, in the precision of the problem. `origin`: the first picture."""
+    """Everything that the bounds are made of, in the precision of the problem. `origin`: the first picture;
+    `step_size`: of all pixels, or of each."""
     λ, data = problem.strength, problem.data
     value, gradient = data.value_and_gradient(image)
     size = jnp.maximum(jnp.abs(image), jnp.abs(origin))
@@ -117,7 +118,7 @@ def measure(
         slope=norm(gradient + back),
         length=norm(image),
         gradient=norm(sizes),
-        step=norm(size) + norm(gradient_step) + step_size * λ * of_prior,
+        step=norm(size) + norm(gradient_step) + jnp.max(step_size) * λ * of_prior,
         prior=λ * penalty,
         lipschitz=lipschitz_bound(data),
         apart=norm(gradient_step - step_size * back - image),

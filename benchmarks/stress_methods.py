@@ -19,6 +19,7 @@ def weighted_mean(image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[
 SOLVERS: dict[str, Solver] = {
     "ISTA": solvers.ISTA(),
     "FISTA": solvers.FISTA(),
+    "FISTA, norm bound": solvers.FISTA(step_size=solvers.NormBound()),
     "FISTA, backtracking": solvers.FISTA(step_size=solvers.Backtracking()),
     "FISTA, spectral norm": solvers.FISTA(step_size=solvers.SpectralNorm()),
     "FISTA, duality gap": solvers.FISTA(stopping=solvers.DualityGap()),

@@ -143,8 +143,7 @@ def certificate_of(
         problem, origin = problem_of(exactly), first_picture(exactly, jnp.dtype("float64"))
         image64, moved = (jnp.asarray(v, jnp.float64) for v in (image, gradient_step))
         primal_dual = isinstance(solver, CondatVu | ChambollePock)
-        step_size = 1 / float(state.lipschitz) if primal_dual else float(state.step_size)
-        β = jnp.asarray(step_size, jnp.float64)
+        β = jnp.asarray(1 / state.lipschitz if primal_dual else np.asarray(state.step_size), jnp.float64)
         if ridge:
             dual = None
         elif foreign:
@@ -158,9 +157,10 @@ def certificate_of(
         seen = measure(problem, image64, origin, moved, β, dual)
     if not math.isfinite(float(seen.objective)):
         return None
+    carried = len(stages) if isinstance(solver, FISTA) else 0
     return certificate(
-        case, seen, residual=stages[-1].residual, step_size=step_size, inexact=bool(foreign) or (ridge and proximal),
-        iterations=len(stages) if isinstance(solver, FISTA) else 0,
+        case, seen, residual=stages[-1].residual, step_size=float(np.asarray(β).min()), iterations=carried,
+        inexact=bool(foreign) or (ridge and proximal),
     )  # fmt: skip
 
 

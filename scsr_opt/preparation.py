@@ -288,13 +288,14 @@ def prepare(
         keep_images=keep_images,
     )
     path, found = asked.followed(motion), None
-    with ThreadPoolExecutor(1) as beside:
+    with ThreadPoolExecutor(2) as beside:
         # What strengths are tried on is measured anew where it is no more than parts of the picture.
         if asked.validates and lens is optics and in_parts(stream, scale, lens):
             found = beside.submit(asked.validated, motion, path, image, rounds, gain=gains, noise=noise)
         taken = asked.measured(motion, gains, path)
-        plan = asked.plan(motion, taken, noise)
+        planned = beside.submit(asked.plan, motion, taken, noise)
         clock.lap("samples")
+    plan = planned.result()
     prepared = Prepared(asked, motion, taken, gains, resting, noise, plan, rounds, image, None, learned, clock)
     if not prepared.usable:
         return prepared

@@ -23,18 +23,16 @@ from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, wit
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.iterate import Outcome, Solver, run
-from scsr_opt.solvers.problem import Problem, with_bound
+from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Stage
 from scsr_opt.solvers.stopping import relative
 
-# A picture is where the quadratic touches the data term if it is less than so many tolerances away. Twice that where a
-# solve goes on from that of a similar problem: it begins near its end, and a correction less changed the mean of no
-# tile of a car that passes by more than 0.3/255.
-_NEAR, _NEAR_GOING_ON = 10.0, 20.0
+# A picture is where the quadratic touches the data term if it is less than so many tolerances away.
+_NEAR = 30.0
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
-# there. Without, pictures as good took a seventh more work in 16 simulations, and with all of the change half as much
-# again (docs/measurements.md).
-_AHEAD = 0.5
+# there. With all of the change pictures as good took half as much again, or did not come to an end
+# (docs/measurements.md).
+_AHEAD = 0.7
 # Rounds of a robust loss after the first solve, at most. What is weighted anew next need not be solved to the end; one
 # that changed the picture by less than so many tolerances is followed by the last one.
 ROUNDS = 10
@@ -77,7 +75,7 @@ class Rounds:
 
         **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
         """
-        term = with_bound(accumulate(placed, optics=self.optics))
+        term = self._term(placed)
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
             near = self.solver.image(state)
@@ -88,6 +86,10 @@ class Rounds:
         else:
             outcome = self._reweighted(term, placed, image, state, near, self.robust)
         return Found(outcome, _blurred(term, jnp.asarray(outcome.image)))
+
+    def _term(self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None) -> DataTerm:
+        term = accumulate(placed, robust=robust, optics=self.optics)
+        return self.solver.prepared(Problem(term, self.prior, self.strength)).data
 
     def _solved(
         self,
@@ -104,7 +106,7 @@ class Rounds:
         tolerance = tolerances * self.solver.tolerance
         problem, exposures = Problem(term, self.prior, self.strength), None
         if placed.finest > 1:
-            exposures = _Exposures(problem, placed, robust, (_NEAR if state is None else _NEAR_GOING_ON) * tolerance)
+            exposures = _Exposures(problem, placed, robust, _NEAR * tolerance)
             problem = problem if near is None else exposures.touching(near)
         return run(
             self.solver,
@@ -133,7 +135,7 @@ class Rounds:
             last = settled or not following
             if near is not None:
                 factors = robust_factors(loss, placed, _blurred(term, near))
-                term = with_bound(accumulate(placed, robust=factors, optics=self.optics))
+                term = self._term(placed, factors)
             outcome = self._solved(term, placed, image, state, near, robust=factors, tolerances=1.0 if last else _LOOSE)
             stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
             if last or not outcome.result.good:

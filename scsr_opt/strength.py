@@ -31,7 +31,7 @@ from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.iterate import Solver, run
-from scsr_opt.solvers.problem import Problem, with_bound
+from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.smooth import Smooth
 
@@ -132,7 +132,9 @@ class _Part:
         self._state, self.image = outcome.state, jnp.asarray(outcome.image)
 
     def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
-        """Takes the motion during exposures, where they are long, from pictures of this strength."""
+        """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
+        plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
+        self._plain = self._term = solver.prepared(plain).data
         for _ in range(2 if self._placed.finest > 1 else 0):
             self.solve(solver, prior, strength)
             self._term = with_exposure(self._plain, self._placed, self.image)
@@ -293,7 +295,7 @@ def _split(
     if min(np.count_nonzero(weight * some) for some in (held, ~held)) < _FEWEST:
         return None
     rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Part(rest, jnp.asarray(weight * held), with_bound(accumulate(rest, optics=optics)), first)
+    return _Part(rest, jnp.asarray(weight * held), accumulate(rest, optics=optics), first)
 
 
 def _part_at_rest(
@@ -330,7 +332,7 @@ def _part_at_rest(
     kept, held = map(placed, light_at_rest(part.spikes, ends=ends))
     if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
         return None
-    return _Part(held, held.weight, with_bound(accumulate(kept, optics=optics)), first)
+    return _Part(held, held.weight, accumulate(kept, optics=optics), first)
 
 
 def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:

@@ -34,13 +34,11 @@ def interval_rates(
     unknown = np.flatnonzero(count < 2)
     mean = count[unknown] / np.float32(frames)
     # Before a first and after a last spike: no faster than the missing one allows.
-    opening, closing = (
-        np.flatnonzero((first > min(at)) & (count >= 2)),
-        np.flatnonzero((last <= max(at)) & (count >= 2)),
-    )
-    begin, begin_again = first[opening].astype(np.float32), second_spikes(np.take(fired, opening, 1))
+    opens, closes = (first > min(at)) & (count >= 2), (last <= max(at)) & (count >= 2)
+    opening, closing = np.flatnonzero(opens), np.flatnonzero(closes)
+    begin, begin_again = first[opening].astype(np.float32), second_spikes(fired, opens)[opening]
     early = np.minimum(1 / (begin_again - begin), 1 / np.maximum(begin, 1))
-    end, end_before = last[closing].astype(np.float32), frames - 1 - second_spikes(np.take(fired[::-1], closing, 1))
+    end, end_before = last[closing].astype(np.float32), frames - 1 - second_spikes(fired[::-1], closes)[closing]
     late = np.minimum(1 / (end - end_before), 1 / np.maximum(frames - 1 - end, 1))
 
     gathered = np.empty((len(edges), first.size), np.float32)
@@ -50,9 +48,11 @@ def interval_rates(
         np.subtract(edge, before.astype(np.float32), out=reading)
         reading /= np.maximum(after - before, 1).astype(np.float32)
         reading += counted.astype(np.float32)
-        yet, over = begin > t, end <= t
-        reading[opening[yet]] = (1 - (begin - edge) * early)[yet]
-        reading[closing[over]] = (count[closing] + (edge - end) * late)[over]
+        yet, over = np.flatnonzero(begin > t), np.flatnonzero(end <= t)
+        reading[opening[yet]] = 1 - (begin[yet] - edge) * early[yet]
+        reading[closing[over]] = count[closing[over]] + (edge - end[over]) * late[over]
         reading[unknown] = mean * (edge + np.float32(0.5))
-    lengths = np.diff(np.asarray(edges, np.float32))[:, None]
-    return (np.diff(gathered, axis=0) / lengths / np.float32(white_rate)).reshape(-1, *sides)
+    rates = np.diff(gathered, axis=0)
+    rates /= np.diff(np.asarray(edges, np.float32))[:, None]
+    rates /= np.float32(white_rate)
+    return rates.reshape(-1, *sides)

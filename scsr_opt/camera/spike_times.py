@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int, Shaped, UInt8
+from jaxtyping import Bool, Int, Shaped, UInt8
 
 # Frames that are looked at before what was found in bytes goes to wider numbers: as far as a byte counts. Bytes take a
 # fifth of the time of anything wider.
@@ -46,12 +46,17 @@ class SpikeTimes(NamedTuple):
 
 def as_bytes(spikes: Shaped[np.ndarray, "T *pixels"]) -> UInt8[np.ndarray, "T *pixels"]:
     """A recording of 0 and 1 of any type as bytes."""
-    return np.asarray(spikes).astype(bool, copy=False).view(np.uint8)
+    fired = np.asarray(spikes)
+    return fired if fired.dtype == np.uint8 else fired.astype(bool, copy=False).view(np.uint8)
 
 
-def second_spikes(spikes: Shaped[np.ndarray, "T pixels"]) -> Int[np.ndarray, " pixels"]:
-    """The frame of the second spike of pixels that fired at least twice."""
-    seen, hit, found = (np.zeros(spikes.shape[1:], np.uint8) for _ in range(3))
+def second_spikes(
+    spikes: Shaped[np.ndarray, "T pixels"], wanted: Bool[np.ndarray, " pixels"]
+) -> Int[np.ndarray, " pixels"]:
+    """The frame of the second spike of the pixels that are `wanted`, which fired at least twice; 0 of the others."""
+    # Those are done before it begins.
+    seen = np.where(wanted, np.uint8(0), np.uint8(2))
+    hit, found = (np.zeros(spikes.shape[1:], np.uint8) for _ in range(2))
     frame = np.zeros(spikes.shape[1:], np.int32)
     for start in range(0, len(spikes), BYTE):
         for t, now in enumerate(as_bytes(spikes[start : start + BYTE])):

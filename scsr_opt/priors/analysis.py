@@ -40,6 +40,10 @@ class Analysis(Prior[State], Generic[State]):
     from each to the next, has a proof that long steps with projections between them have not; five of its steps left
     up to half as many outer iterations more than four of these (docs/measurements.md).
 
+    With a strength w(p) for each pixel instead of λ (`separable` priors) it is f − wK*p, and dual steps are as long as
+    a bound of K diag(w) K* on each value of the field allows (`bounds`; Pock and Chambolle, 2011, "Diagonal
+    preconditioning for first order primal-dual algorithms in convex optimization").
+
     A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: hand the
     returned state to the next call. Four to ten are then enough. For a single one from `initial_state` use 100 or more,
     and `gap` to see how far it got.
@@ -56,6 +60,11 @@ class Analysis(Prior[State], Generic[State]):
     @abc.abstractmethod
     def norm_squared(self) -> float:
         """An upper bound on ‖K‖²."""
+
+    def bounds(self, strength: Float[Array, "*pixels"]) -> Float[Array, "*pixels"]:
+        """b with K diag(strength) K* ≤ diag(b), for each pixel the same in all leaves of a field where φ* couples them;
+        one number for all where the strength is one."""
+        return self.norm_squared * strength
 
     @abc.abstractmethod
     def analysis(self, image: Float[Array, "H W"]) -> State:
@@ -74,7 +83,7 @@ class Analysis(Prior[State], Generic[State]):
         """φ*(dual) in the same way, for a dual variable that `conjugate_prox` returned; zeros where φ is a norm."""
 
     @abc.abstractmethod
-    def conjugate_prox(self, field: State, step: Float[Array, ""]) -> State:
+    def conjugate_prox(self, field: State, step: Float[Array, "*pixels"]) -> State:
         """argmin over p of ½‖p − field‖² + step·φ*(p). Where φ is a norm: the nearest p in the dual unit ball."""
 
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
@@ -92,14 +101,14 @@ class Analysis(Prior[State], Generic[State]):
         return jax.tree.map(jnp.zeros_like, self.analysis(image))
 
     def prox(
-        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: State
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, "*pixels"], state: State
     ) -> tuple[Float[Array, "H W"], State]:
         """argmin over X of ½‖X − image‖² + strength·Ψ(X), to the accuracy of `iterations` steps from `state`.
 
         **Arguments:**
         - `image`: f.
-        - `strength`: λ, in the unit of the image. At 0 (below 1e-19 in float32) the image is returned as it is, and the
-          state but for rounding.
+        - `strength`: λ, in the unit of the image, or where the prior is `separable` one for each pixel. At 0 (below
+          1e-19 in float32) the image is returned as it is, and the state but for rounding.
         - `state`: from `initial_state` or from an earlier call for a picture of the same shape.
 
         **Returns:** the minimiser, and the dual variable to start from next time.
@@ -109,7 +118,7 @@ class Analysis(Prior[State], Generic[State]):
     def prox_within(
         self,
         image: Float[Array, "H W"],
-        strength: Float[ArrayLike, ""],
+        strength: Float[ArrayLike, "*pixels"],
         state: State,
         nearest: Callable[[Float[Array, "H W"]], Float[Array, "H W"]],
     ) -> tuple[Float[Array, "H W"], State]:
@@ -119,23 +128,31 @@ class Analysis(Prior[State], Generic[State]):
         Teboulle, 2009, §4). The result is within the set after any number of steps.
         """
         off, strength = divisible(strength, image.dtype)
-        # If XLA knew the bound it would multiply with its reciprocal, which it does not write to memory (see below).
-        bound = jax.lax.optimization_barrier(self.norm_squared * strength)
         # Steps of length 0, and not a choice at the end: that would make the last step more kernels than the others.
         on = jnp.where(off, 0, jnp.ones_like(strength))
+        # Behind the barrier are numbers that XLA does not know, and pictures that it does not compute anew for each of
+        # their uses.
+        if strength.ndim == 0:
+            bound = divisor = jax.lax.optimization_barrier(self.bounds(strength))
+            along, rate = on, on / bound
+        else:
+            divisor = jnp.ones((), image.dtype)
+            strength, rate, divisor = jax.lax.optimization_barrier((strength, on / self.bounds(strength), divisor))
+            along = rate
         cycles, lengths = dual_cycles(self.iterations)
 
-        def step(length: float, picture: Array, dual: State) -> State:
-            moved = jax.tree.map(lambda p, z: p + on * length * z, dual, self.analysis(picture))
-            return self.conjugate_prox(moved, on * length / bound)
+        def step(length: float, picture: Array, dual: State, along: Array, rate: Array) -> State:
+            moved = jax.tree.map(lambda p, z: p + length * along * z, dual, self.analysis(picture))
+            return self.conjugate_prox(moved, length * rate)
 
         def cycle(dual: State) -> State:
             for length in lengths:
                 # Divided as a picture, not as a field: on CPUs XLA writes the result of a division to memory once,
                 # where it would compute sums anew for each neighbour that reads them or copy them for each.
-                picture = nearest(image - strength * self.adjoint(dual)) / bound
+                picture = nearest(image - strength * self.adjoint(dual)) / divisor
                 one = functools.partial(step, length)
-                dual = leaf_by_leaf(one, picture, dual) if self.coupled else one(picture, dual)
+                given = picture, dual, along, rate
+                dual = leaf_by_leaf(one, *given) if self.coupled else one(*given)
             return dual
 
         def ascend(carry: tuple[State, State], momentum: Array) -> tuple[tuple[State, State], None]:

@@ -80,6 +80,11 @@ class Bounded(Prior[BoundedState]):
         """That of the prior."""
         return self.prior.relative_strength
 
+    @property
+    def separable(self) -> bool:
+        """As the prior: the nearest picture within the bounds is so pixel by pixel."""
+        return self.prior.separable
+
     def clip(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """The nearest picture within the bounds."""
         return jnp.clip(image, self.lower, self.upper)
@@ -93,7 +98,7 @@ class Bounded(Prior[BoundedState]):
         return BoundedState(self.prior.initial_state(image), jnp.zeros_like(image))
 
     def prox(
-        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: BoundedState
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, "*pixels"], state: BoundedState
     ) -> tuple[Float[Array, "H W"], BoundedState]:
         """argmin over X within the bounds of ½‖X − image‖² + strength·Ψ(X), and the state for the next call.
 

@@ -54,6 +54,11 @@ class Centred(Prior[Any]):
         """None: λ has to be given."""
         return None
 
+    @property
+    def separable(self) -> bool:
+        """As the prior."""
+        return self.prior.separable
+
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image − C)."""
         return self.prior.value(self._apart(image))
@@ -67,7 +72,7 @@ class Centred(Prior[Any]):
         return self.prior.initial_state(self._apart(image))
 
     def prox(
-        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: Any
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, "*pixels"], state: Any
     ) -> tuple[Float[Array, "H W"], Any]:
         """argmin over X of ½‖X − image‖² + strength · Ψ(X − C), and the state of Ψ for the next call."""
         change, state = self.prior.prox(self._apart(image), strength, state)

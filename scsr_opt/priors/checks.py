@@ -49,7 +49,9 @@ def checked_tolerance(owner: str, given: float | int) -> None:
         )
 
 
-def divisible(strength: Float[ArrayLike, ""], dtype: DTypeLike) -> tuple[Bool[Array, ""], Float[Array, ""]]:
+def divisible(
+    strength: Float[ArrayLike, "*pixels"], dtype: DTypeLike
+) -> tuple[Bool[Array, "*pixels"], Float[Array, "*pixels"]]:
     """Whether the strength is so small (below 1e-19 in float32) that it counts as 0, and one to calculate with.
 
     That is 1 where it counts as 0: 1/strength or its derivative would be infinite, and not a number behind a `where`. A

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.checks import positive, whole
-from scsr_opt.priors.total_variation import Dual, gradient, gradient_adjoint, lengths, to_unit_ball
+from scsr_opt.priors.total_variation import Dual, gradient, gradient_adjoint, gradient_bounds, lengths, to_unit_ball
 
 
 class HuberTotalVariation(Analysis[Dual]):
@@ -43,6 +43,15 @@ class HuberTotalVariation(Analysis[Dual]):
     def norm_squared(self) -> float:
         return 8.0
 
+    @property
+    def separable(self) -> bool:
+        """True."""
+        return True
+
+    def bounds(self, strength: Float[Array, "*pixels"]) -> Float[Array, "*pixels"]:
+        """`gradient_bounds`."""
+        return gradient_bounds(strength)
+
     def analysis(self, image: Float[Array, "H W"]) -> Dual:
         """∇ image."""
         return gradient(image)
@@ -60,7 +69,7 @@ class HuberTotalVariation(Analysis[Dual]):
         """δ/2·|dual(p)|² at each p."""
         return self.knee / 2 * (dual.down**2 + dual.right**2)
 
-    def conjugate_prox(self, field: Dual, step: Float[Array, ""]) -> Dual:
+    def conjugate_prox(self, field: Dual, step: Float[Array, "*pixels"]) -> Dual:
         """The field shortened by 1 + step·δ, then the nearest one within the unit ball at each pixel."""
         shorter = 1 / (1 + step * self.knee)
         return to_unit_ball(Dual(shorter * field.down, shorter * field.right))

@@ -29,6 +29,12 @@ class Prior(eqx.Module, Generic[State]):
         a number does not exist; λ has to be given then."""
         return 1.0
 
+    @property
+    def separable(self) -> bool:
+        """Whether `prox` takes a strength w(p) for each pixel p, too: argmin over X of ½ Σ_p (X(p) − image(p))² / w(p)
+        + Ψ(X)."""
+        return False
+
     @abc.abstractmethod
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image)."""
@@ -47,6 +53,7 @@ class Prior(eqx.Module, Generic[State]):
 
     @abc.abstractmethod
     def prox(
-        self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: State
+        self, image: Float[Array, "H W"], strength: Float[ArrayLike, "*pixels"], state: State
     ) -> tuple[Float[Array, "H W"], State]:
-        """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call."""
+        """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call; with a strength for each
+        pixel where the prior is `separable`."""

@@ -53,6 +53,15 @@ class TotalVariation(Analysis[Dual]):
     def norm_squared(self) -> float:
         return 8.0
 
+    @property
+    def separable(self) -> bool:
+        """True."""
+        return True
+
+    def bounds(self, strength: Float[Array, "*pixels"]) -> Float[Array, "*pixels"]:
+        """`gradient_bounds`."""
+        return gradient_bounds(strength)
+
     def analysis(self, image: Float[Array, "H W"]) -> Dual:
         """∇ image."""
         return gradient(image)
@@ -71,7 +80,7 @@ class TotalVariation(Analysis[Dual]):
         """0: φ is a norm."""
         return jnp.zeros_like(dual.down)
 
-    def conjugate_prox(self, field: Dual, step: Float[Array, ""]) -> Dual:
+    def conjugate_prox(self, field: Dual, step: Float[Array, "*pixels"]) -> Dual:
         """The nearest field within the unit ball at each pixel."""
         if not self.isotropic:
             return Dual(jnp.clip(field.down, -1, 1), jnp.clip(field.right, -1, 1))
@@ -102,3 +111,13 @@ def gradient_adjoint(dual: Dual) -> Float[Array, "H W"]:
     above = jnp.pad(dual.down[:-1], ((1, 0), (0, 0)))
     before = jnp.pad(dual.right[:, :-1], ((0, 0), (1, 0)))
     return above - dual.down + (before - dual.right)
+
+
+def gradient_bounds(strength: Float[Array, "*pixels"]) -> Float[Array, "*pixels"]:
+    """b with ∇ diag(strength) ∇* ≤ diag(b), the same for both components: the larger sum of a row's absolute values, as
+    four differences meet in a pixel."""
+    if strength.ndim == 0:
+        return 8 * strength
+    below = jnp.pad(strength[1:], ((0, 1), (0, 0)))
+    after = jnp.pad(strength[:, 1:], ((0, 0), (0, 1)))
+    return 4 * (strength + jnp.maximum(below, after))

@@ -17,7 +17,7 @@ from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.sensitivity import solution
 from scsr_opt.solvers.smooth import LBFGS, NonlinearCG
 from scsr_opt.solvers.solution import Result, Solution, Stage
-from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, SpectralNorm, StepSize
+from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, Separable, SpectralNorm, StepSize
 from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
 
 __all__ = [
@@ -45,6 +45,7 @@ __all__ = [
     "Record",
     "Result",
     "Solution",
+    "Separable",
     "Solver",
     "SpectralNorm",
     "Stage",

@@ -17,7 +17,7 @@ from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.linear_solve import LinearSolve
-from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.problem import Problem, with_bound
 from scsr_opt.solvers.solution import Result, Stage
 from scsr_opt.solvers.step_size import Balance, StepSize
 from scsr_opt.solvers.stopping import Stopping
@@ -27,7 +27,7 @@ State = TypeVar("State")
 # Iterations between two looks from outside. At 20 the loop loses 5 % to being interrupted.
 CHUNK = 20
 # And between two corrections of the problem, each of which costs about as much as they do.
-CORRECTED_AFTER = 5
+CORRECTED_AFTER = 4
 
 
 class Record(NamedTuple):
@@ -42,7 +42,7 @@ class Record(NamedTuple):
 
 # What a solver may be made of, and an example of each.
 _PARTS: dict[str, tuple[type, str]] = {
-    "stopping": (Stopping, "FixedPoint()"), "step_size": (StepSize, "NormBound() or Fixed(value)"),
+    "stopping": (Stopping, "FixedPoint()"), "step_size": (StepSize, "Separable() or Fixed(value)"),
     "balance": (Balance, "Balance(ratio)"), "linear_solve": (LinearSolve, "ConjugateGradients()"),
 }  # fmt: skip
 
@@ -75,6 +75,10 @@ class Solver(eqx.Module, Generic[State]):
     def check(self, prior: Prior) -> None:
         """Raises `InputError` for a prior that it cannot use."""
         self.stopping.check(prior)
+
+    def prepared(self, problem: Problem) -> Problem:
+        """The problem with what each solve with the same M would have to find out anew."""
+        return eqx.tree_at(lambda p: p.data, problem, with_bound(problem.data))
 
     @abc.abstractmethod
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:

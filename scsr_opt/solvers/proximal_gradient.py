@@ -5,18 +5,18 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.problem import Problem
-from scsr_opt.solvers.step_size import NormBound, StepSize
+from scsr_opt.solvers.step_size import NormBound, Separable, StepSize
 from scsr_opt.solvers.stopping import Evidence, FixedPoint, Stopping, misfit, relative
 
 
 class ProximalGradientState(NamedTuple):
     """Changes every iteration: `image`, `gradient` of f there, `ahead` (where the next step starts), `ahead_gradient`,
-    `gradient_step` R, `momentum` t, `objective` F, the prior's state and `step_size` β."""
+    `gradient_step` R, `momentum` t, `objective` F, the prior's state and `step_size` β, of all pixels or of each."""
 
     image: Float[Array, "H W"]
     gradient: Float[Array, "H W"]
@@ -26,13 +26,13 @@ class ProximalGradientState(NamedTuple):
     momentum: Float[Array, ""]
     objective: Float[Array, ""]
     prior: Any
-    step_size: Float[Array, ""]
+    step_size: Float[Array, "*pixels"]
 
 
 class _Step(NamedTuple):
     """A proximal-gradient step that is tried: from `gradient_step` to `image`."""
 
-    step_size: Float[Array, ""]
+    step_size: Float[Array, "*pixels"]
     gradient_step: Float[Array, "H W"]
     image: Float[Array, "H W"]
     prior: Any
@@ -47,6 +47,9 @@ class _ProximalGradient(Solver[ProximalGradientState]):
     tolerance: float | int = 1e-4
     stopping: Stopping = FixedPoint()
     step_size: StepSize = NormBound()
+
+    def prepared(self, problem: Problem) -> Problem:
+        return super().prepared(problem) if self.step_size.needs_bound(problem) else problem
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
         gradient = problem.data.gradient(image)
@@ -65,9 +68,15 @@ class _ProximalGradient(Solver[ProximalGradientState]):
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         step = self._step(problem, state)
         image, β = step.image, step.step_size
-        residual = relative(jnp.linalg.norm(image - state.ahead), image)
+        shortest = jnp.min(β)
+        # The same slope counts as much wherever it is, as if all steps were as long as the shortest. Differences are
+        # seen through a barrier: with those that follow made one, XLA would write them to memory for both.
+        new, old, start = jax.lax.optimization_barrier((image, state.image, state.ahead))
+        moved = new - start if β.ndim == 0 else (new - start) * (shortest / β)
+        residual = relative(jnp.linalg.norm(moved), image)
+        uphill = jnp.sum((start - new) / β * (new - old)) > 0
         penalty, evidence = _evidence(problem, step, residual)
-        momentum, along, beyond = self._extrapolation(state, image, evidence.objective)
+        momentum, along, beyond = self._extrapolation(state.momentum, uphill | (evidence.objective > state.objective))
         # f is quadratic, so its gradient at the point ahead follows from two known ones; the application of M that this
         # saves has given f at the picture itself instead, for the record.
         following = ProximalGradientState(
@@ -83,7 +92,7 @@ class _ProximalGradient(Solver[ProximalGradientState]):
             prior=step.prior,
             step_size=β,
         )
-        return following, Record(step.data, penalty, residual, self.stopping.gap(evidence), β)
+        return following, Record(step.data, penalty, residual, self.stopping.gap(evidence), shortest)
 
     def image(self, state: ProximalGradientState) -> Float[Array, "H W"]:
         return state.image
@@ -132,13 +141,10 @@ class _ProximalGradient(Solver[ProximalGradientState]):
 
     @abc.abstractmethod
     def _extrapolation(
-        self,
-        state: ProximalGradientState,
-        image: Float[Array, "H W"],
-        objective: Float[Array, ""],
+        self, t: Float[Array, ""], worse: Bool[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         """The next t, and how far to go ahead: along the change from picture to picture, and along the last step, which
-        began at the point ahead."""
+        began at the point ahead. `worse`: whether the momentum points uphill, or the objective rose."""
 
 
 def _evidence(problem: Problem, step: _Step, residual: Float[Array, ""]) -> tuple[Float[Array, ""], Evidence]:
@@ -162,9 +168,9 @@ class ISTA(_ProximalGradient):
     **Fields:** `iterations`, `tolerance`, `stopping`: as of every `Solver`. `step_size`: how β is chosen.
     """
 
-    def _extrapolation(self, state, image, objective):
-        none = jnp.zeros((), image.dtype)
-        return state.momentum, none, none
+    def _extrapolation(self, t, worse):
+        none = jnp.zeros_like(t)
+        return t, none, none
 
 
 class FISTA(_ProximalGradient):
@@ -178,16 +184,16 @@ class FISTA(_ProximalGradient):
     The prior's state (total variation's dual variable) is carried from one proximal step to the next. A proximal step
     that is not exact, as total variation's, is what momentum may add up; the second test is what ends that.
 
-    **Fields:** as of `ISTA`; `optimised`: whether the second momentum is there. The first one's rate is proved for step
-    sizes that do not grow; where `Backtracking` lets them, the second restart ends what goes wrong.
+    **Fields:** as of `ISTA`; each pixel has its own step size where the prior is `separable`. `optimised`: whether the
+    second momentum is there. The first one's rate is proved for step sizes that do not grow; where `Backtracking` lets
+    them, the second restart ends what goes wrong.
     """
 
+    step_size: StepSize = Separable()
     optimised: bool = True
 
-    def _extrapolation(self, state, image, objective):
-        uphill = jnp.sum((state.ahead - image) * (image - state.image)) > 0
-        uphill |= objective > state.objective
-        t = jnp.where(uphill, 1, state.momentum)
+    def _extrapolation(self, t, worse):
+        t = jnp.where(worse, 1, t)
         following = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
-        beyond = jnp.where(uphill, 0, t / following) if self.optimised else jnp.zeros((), image.dtype)
-        return following, jnp.where(uphill, 0, (t - 1) / following), beyond
+        beyond = jnp.where(worse, 0, t / following) if self.optimised else jnp.zeros_like(t)
+        return following, jnp.where(worse, 0, (t - 1) / following), beyond

@@ -44,9 +44,10 @@ class Stage:
     - `objective`, `data`, `prior`: Eq. 4 divided by two at X^(t), its data part and λΨ; `objective = data + prior`.
     - `residual`: relative optimality, ‖X^(t) − A‖ / ‖X^(t)‖, A the point that the iteration started from, so that
       X^(t) = prox(A − β∇f(A)); 0 at the minimiser. As such a step brings no two points further apart, one more from
-      X^(t) changes it by no more than this. Methods that split the problem record an upper bound on ‖X^(t) − G(X^(t))‖
+      X^(t) changes it by no more than this. Where each pixel has its own β, differences count times the shortest β over
+      it: the same slope as much everywhere. Methods that split the problem record an upper bound on ‖X^(t) − G(X^(t))‖
       / ‖X^(t)‖, G such a step (`scsr_opt.solvers.stopping`).
-    - `step_size`: β.
+    - `step_size`: β, the shortest where each pixel has its own.
     - `seconds`: since the solve began, at the end of the chunk that this stage belongs to; NaN where not measured.
     - `gap`: duality gap over the objective, how far the objective is above its minimum at most, relative; NaN where it
       is not measured.

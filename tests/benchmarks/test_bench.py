@@ -32,7 +32,7 @@ from scsr_opt.cli import bench as command
 from scsr_opt.cli import main, measuring
 from scsr_opt.errors import InputError
 from scsr_opt.operators.sampling import accumulate
-from scsr_opt.solvers import FISTA, CondatVu
+from scsr_opt.solvers import FISTA, CondatVu, NormBound
 
 DOCS = Path(__file__).parents[2] / "docs"
 # Everything once, as small as it goes.
@@ -209,7 +209,8 @@ def test_xla_counts_what_is_plain_to_see():
 
 
 @pytest.mark.parametrize(
-    ("solver", "iteration"), [(FISTA(), bench_plain.plain_fista), (CondatVu(), bench_plain.plain_condat_vu)]
+    ("solver", "iteration"),
+    [(FISTA(step_size=NormBound()), bench_plain.plain_fista), (CondatVu(), bench_plain.plain_condat_vu)],
 )
 def test_the_plain_iteration_is_the_iteration(solver, iteration):
     problem, image = bench_iteration.problem_of((24, 32))

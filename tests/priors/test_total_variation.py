@@ -6,9 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import skimage.restoration
+from jax.flatten_util import ravel_pytree
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors.total_variation import Dual, TotalVariation
+from scsr_opt.priors.huber_total_variation import HuberTotalVariation
+from scsr_opt.priors.total_variation import Dual, TotalVariation, gradient, gradient_adjoint, gradient_bounds
 
 SHAPE = (11, 14)
 STRENGTH = 0.15
@@ -378,3 +380,34 @@ def test_strength_may_be_a_plain_number():
 def test_refuses_no_iterations():
     with pytest.raises(InputError, match="at least 1"):
         TotalVariation(iterations=0)
+
+
+@pytest.mark.parametrize("prior", [TotalVariation(iterations=400), HuberTotalVariation(iterations=400)])
+def test_a_strength_for_each_pixel(double, prior):
+    """The minimiser of ½ Σ (X − f)²/w + Ψ(X): its dual variable closes the gap, term by term."""
+    rng = np.random.default_rng(5)
+    f, w = jnp.asarray(rng.random((9, 11))), jnp.asarray(rng.uniform(0.02, 0.3, (9, 11)))
+    found, dual = jax.jit(lambda f, w: prior.prox(f, w, prior.initial_state(f)))(f, w)
+    np.testing.assert_allclose(found, f - w * prior.adjoint(dual), atol=1e-14)
+    field = prior.analysis(found)
+    products = sum(jnp.sum(z * p) for z, p in zip(field, dual, strict=True))
+    gap = float(jnp.sum(prior.penalties(field) + prior.conjugates(dual)) - products)
+    assert 0 <= gap < 1e-4 * float(prior.value(found))
+    flat, _ = prior.prox(f, jnp.full_like(f, 0.1), prior.initial_state(f))
+    np.testing.assert_allclose(flat, prior.prox(f, 0.1, prior.initial_state(f))[0], atol=1e-6)
+
+
+def test_bounds_of_a_strength_for_each_pixel(double):
+    """diag(b) − ∇ diag(w) ∇* has no negative eigenvalue, and b is no more than twice as large as it has to be."""
+    w = jnp.asarray(np.random.default_rng(6).uniform(0.1, 1, (5, 6)))
+    zero = Dual(jnp.zeros_like(w), jnp.zeros_like(w))
+    flat, back = ravel_pytree(zero)
+    matrix = jax.jacobian(lambda v: ravel_pytree(gradient(w * gradient_adjoint(back(v))))[0])(flat)
+    b = np.tile(np.asarray(gradient_bounds(w)).ravel(), 2)
+    inside = np.abs(np.asarray(matrix)).sum(1) > 0
+    # The last row of `down` and column of `right`, which a dual variable has nothing in, are not differences.
+    kept = np.concatenate([np.arange(30) < 25, np.arange(30) % 6 < 5]) & inside
+    of_field = np.asarray(matrix)[np.ix_(kept, kept)]
+    scaled = of_field / np.sqrt(np.outer(b[kept], b[kept]))
+    assert 0.5 < np.linalg.eigvalsh(scaled)[-1] <= 1 + 1e-12
+    assert float(gradient_bounds(jnp.asarray(0.5))) == 4

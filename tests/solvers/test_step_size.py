@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from scsr_opt.errors import InputError
+from scsr_opt.priors import Bounded, TotalVariation, WaveletL1
 from scsr_opt.solvers import (
     FISTA,
     ISTA,
@@ -17,6 +18,7 @@ from scsr_opt.solvers import (
     CondatVu,
     Fixed,
     NormBound,
+    Separable,
     SpectralNorm,
     lipschitz_bound,
     run,
@@ -41,6 +43,65 @@ def test_bounds_are_at_least_the_norm(case, steepest):
     loose = float(SpectralNorm(iterations=10).first(case.problem))
     assert loose < probable
     assert float(Fixed(0.25).first(case.problem)) == 0.25
+
+
+def test_steps_of_each_pixel_are_as_long_as_a_majorant_allows(case):
+    """diag(1/β) − BᵀMB has no negative eigenvalue, though some β are above 1/L."""
+    β = np.asarray(Separable().first(case.problem), np.float64)
+    normal = (case.matrix.T * case.weight) @ case.matrix
+    left = np.linalg.eigvalsh(np.diag(1 / β.ravel()) - normal)
+    assert left[0] >= -1e-6 * left[-1]  # the rounding of β in float32
+    assert β.max() > 1.5 * float(NormBound().first(case.problem))
+    assert β.max() <= 10 * β.min() * (1 + 1e-6)
+    narrow = Separable(widest=1).first(case.problem)
+    assert float(jnp.max(narrow)) == pytest.approx(β.min(), rel=1e-6) == float(jnp.min(narrow))
+
+
+def test_all_pixels_have_one_step_where_the_prior_or_the_grid_knows_one(case):
+    other = eqx.tree_at(lambda p: p.prior, case.problem, WaveletL1(), is_leaf=lambda leaf: leaf is case.problem.prior)
+    assert Separable().first(other).shape == () and Separable().needs_bound(other)
+    assert not Separable().needs_bound(case.problem)
+    bounded = eqx.tree_at(
+        lambda p: p.prior, case.problem, Bounded(TotalVariation()), is_leaf=lambda leaf: leaf is case.problem.prior
+    )
+    assert Separable().first(bounded).shape == case.start.shape
+
+
+@pytest.mark.parametrize("make", [ISTA, FISTA])
+def test_steps_of_each_pixel_lead_to_the_same_picture(make, case, minimum):
+    outcome = run(make(iterations=200, tolerance=0, step_size=Separable()), case.problem, case.start)
+    assert -1e-7 <= case.objective(outcome.image) / case.objective(minimum) - 1 <= 2e-5
+    if make is ISTA:
+        objectives = np.array([stage.objective for stage in outcome.stages])
+        assert np.diff(objectives).max() <= 8e-7 * float(case.problem.data.energy)  # rounding, as of one step size
+    β = Separable().first(case.problem)
+    assert {stage.step_size for stage in outcome.stages} == {float(jnp.min(β))}
+
+
+def test_where_less_was_seen_steps_of_each_pixel_need_fewer_iterations(case):
+    """A twentieth of the data below the first third of the picture."""
+    data = case.problem.data
+    share = jnp.where(jnp.arange(data.target.shape[0]) < 8, 1.0, 0.05)[:, None].astype(jnp.float32)
+    thin = eqx.tree_at(
+        lambda d: (d.stencil.planes, d.target), data, (data.stencil.planes * share[None], data.target * share)
+    )
+    problem = eqx.tree_at(lambda p: p.data, case.problem, thin, is_leaf=lambda leaf: leaf is data)
+    found = run(FISTA(step_size=NormBound(), iterations=1000, tolerance=0), problem, case.start).image
+
+    def needed(solver: FISTA) -> int:
+        pictures = [stage.image for stage in run(solver, problem, case.start, keep_images=True).stages]
+        off = [float(np.linalg.norm(picture - found)) for picture in pictures if picture is not None]
+        return int(np.argmax(np.array(off) <= 3e-3 * np.linalg.norm(found))) + 1
+
+    one = needed(FISTA(step_size=NormBound(), iterations=100, tolerance=0))
+    each = needed(FISTA(iterations=100, tolerance=0))
+    print(f"{one} iterations with one step size, {each} with one for each pixel")
+    assert 1 < each < one < 100
+
+
+def test_steps_of_each_pixel_have_limits():
+    with pytest.raises(InputError, match="widest=0.5; it is a finite factor of at least 1"):
+        Separable(widest=0.5)
 
 
 def test_a_bound_that_is_known_is_not_found_again(case, monkeypatch):
@@ -76,12 +137,12 @@ def test_backtracking_finds_longer_steps_than_the_bound(case):
     assert longest > 1.05 * float(NormBound().first(case.problem))
 
 
-@pytest.mark.parametrize("step_size", [NormBound(), SpectralNorm(), Backtracking()])
+@pytest.mark.parametrize("step_size", [Separable(), NormBound(), SpectralNorm(), Backtracking()])
 def test_without_samples_a_step_is_an_ordinary_number(step_size, case):
     """f is 0 then, and any step serves: but 1e38 would overflow in whatever it is multiplied with."""
     nothing = jax.tree.map(jnp.zeros_like, case.problem.data)
     problem = eqx.tree_at(lambda p: p.data, case.problem, nothing)
-    assert float(step_size.first(problem)) == 1
+    assert (np.asarray(step_size.first(problem)) == 1).all()
     outcome = run(FISTA(step_size=step_size), problem, case.start + jnp.eye(*case.start.shape))
     assert outcome.result.good and np.isfinite(outcome.image).all()
 

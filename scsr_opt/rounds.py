@@ -146,7 +146,8 @@ class Rounds:
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
         own = eqx.filter_eval_shape(self.solver.init, problem, image)
-        if _layout(state) != _layout(own):
+        kept = self.solver.kept
+        if not isinstance(state, self.solver.state_type) or _layout(kept(state)) != _layout(kept(own)):
             raise InputError(
                 f"state is not one that {type(self.solver).__name__} with {type(self.prior).__name__} can go on from "
                 f"to a picture of {image.shape}; hand in Solution.state of a solution by the same solver and prior, of "

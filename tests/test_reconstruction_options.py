@@ -262,6 +262,17 @@ def test_going_on_from_a_solution(made, usual):
     assert np.linalg.norm(again.image - usual.image) < 0.01 * np.linalg.norm(usual.image)
 
 
+def test_going_on_between_rest_and_motion(made):
+    """At rest all pixels have one step size, else each has its own; neither is asked for again."""
+    options = {"scale": SCALE, "prior": HuberTotalVariation(), "strength": 1e-3}
+    moving, resting = (reconstruct(made.spikes, velocity=of, **options) for of in (VELOCITY, (0.0, 0.0)))
+    assert moving.state.step_size.shape == moving.image.shape and resting.state.step_size.shape == ()
+    for one, other, velocity in ((moving, resting, VELOCITY), (resting, moving, (0.0, 0.0))):
+        again = reconstruct(made.spikes, velocity=velocity, state=other.state, **options)
+        assert again.result is Result.converged
+        assert np.linalg.norm(again.image - one.image) < 0.01 * np.linalg.norm(one.image)
+
+
 def test_the_limit_of_iterations_holds_for_all_together(made):
     few = {"scale": SCALE, "velocity": VELOCITY, "solver": FISTA(8, tolerance=0), "strength": 1e-3}
     first = reconstruct(made.spikes, **few)
@@ -357,7 +368,7 @@ def test_a_value_of_another_kind_is_said():
         "moved(layers=replace(layers, depth=np.zeros((2, 2))))": "velocity.layers.depth is [[0.0, 0.0], [0.0, 0.0]]",
         "moved(layers=replace(layers, depth=np.array([0, np.nan])))": "velocity.layers.depth is [0.0, nan]; it must be",
         "moved(layers=replace(layers, velocity=fields + 1))": "velocity.velocity or velocity.acceleration is not that",
-        "FISTA(step_size=0.1)": "FISTA was given step_size=0.1; it must be a StepSize, such as NormBound()",
+        "FISTA(step_size=0.1)": "FISTA was given step_size=0.1; it must be a StepSize, such as Separable()",
         "FISTA(stopping=1e-3)": "FISTA was given stopping=0.001; it must be a Stopping, such as FixedPoint().",
         "CondatVu(balance=2.0)": "CondatVu was given balance=2.0; it must be a Balance, such as Balance(ratio).",
         "ADMM(linear_solve='cg')": "ADMM was given linear_solve='cg'; it must be a LinearSolve",

@@ -114,7 +114,7 @@ class _ProximalGradient(Solver[ProximalGradientState]):
 
     def kept(self, state: ProximalGradientState) -> ProximalGradientState:
         image = state.image
-        return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image)
+        return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image, step_size=image)
 
     def _step(self, problem: Problem, state: ProximalGradientState) -> _Step:
         """From the point ahead, with a step size that is short enough."""

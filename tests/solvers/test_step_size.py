@@ -99,6 +99,15 @@ def test_where_less_was_seen_steps_of_each_pixel_need_fewer_iterations(case):
     assert 1 < each < one < 100
 
 
+def test_what_is_kept_of_a_state_does_without_its_steps(case):
+    """They are found anew for the problem that the state goes on with."""
+    state = run(FISTA(iterations=5, tolerance=0), case.problem, case.start).state
+    kept = FISTA().kept(state)
+    assert state.step_size.shape == case.start.shape and kept.step_size is kept.image
+    whole, less = (run(FISTA(iterations=5, tolerance=0), case.problem, case.start, similar=of) for of in (state, kept))
+    np.testing.assert_array_equal(whole.image, less.image)
+
+
 def test_steps_of_each_pixel_have_limits():
     with pytest.raises(InputError, match="widest=0.5; it is a finite factor of at least 1"):
         Separable(widest=0.5)

@@ -27,7 +27,8 @@ from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Stage
 from scsr_opt.solvers.stopping import relative
 
-# A picture is where the quadratic touches the data term if it is less than so many tolerances away.
+# A picture is where the quadratic touches the data term if it is less than so many tolerances away: with a step size
+# for each pixel pictures are as good as at 10 with one for all, a correction earlier (docs/measurements.md).
 _NEAR = 30.0
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
 # there. With all of the change pictures as good took half as much again, or did not come to an end

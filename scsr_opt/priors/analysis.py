@@ -63,7 +63,7 @@ class Analysis(Prior[State], Generic[State]):
 
     def bounds(self, strength: Float[Array, "*pixels"]) -> Float[Array, "*pixels"]:
         """b with K diag(strength) K* ≤ diag(b), for each pixel the same in all leaves of a field where φ* couples them;
-        one number for all where the strength is one."""
+        one number for all where the strength is one. A prior that is `separable` has to have its own."""
         return self.norm_squared * strength
 
     @abc.abstractmethod

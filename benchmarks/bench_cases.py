@@ -15,7 +15,8 @@ from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Translation
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.demo import psnr
 from scsr_opt.motion.handed_in import given
-from scsr_opt.operators.sampling import DataTerm, accumulate
+from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.sampling import accumulate
 from scsr_opt.placing import first_picture, measured, stream_around
 from scsr_opt.priors import default_prior
 from scsr_opt.solvers import FISTA

@@ -18,7 +18,8 @@ from benchmarks.frames import VELOCITY, recording
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, accumulate, place
+from scsr_opt.operators.data_term import DataTerm, Stencil
+from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import Progress
 from scsr_opt.solvers import FISTA, CondatVu, NormBound, Problem, Solver

@@ -18,7 +18,8 @@ import numpy as np
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.motion.trajectory import Motion, trajectory_of
-from scsr_opt.operators.sampling import DataTerm, accumulate, place
+from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.sampling import accumulate, place
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from benchmarks.bench_timing import in_turns, keeping_memory
-from scsr_opt.operators.sampling import Stencil
+from scsr_opt.operators.data_term import Stencil
 
 _ROUNDS = 15
 _NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))

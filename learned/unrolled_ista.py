@@ -25,7 +25,7 @@ from learned.inputs import Inputs
 from learned.layers import ResidualBlocks, convolution, fold, leaky, unfold
 from learned.spikesr import Iterates
 from scsr_opt.errors import InputError
-from scsr_opt.operators.sampling import DataTerm
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.priors.prior import Prior
 
 # Share of a sample that the picture so far counts for, where what was measured is gathered: it fills what no one saw.

@@ -22,7 +22,8 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.estimate import estimate_motion
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, Taps, accumulate, place
+from scsr_opt.operators.data_term import DataTerm, Stencil
+from scsr_opt.operators.sampling import PlacedSamples, Taps, accumulate, place
 from scsr_opt.placing import Stream, first_picture
 from scsr_opt.solvers.problem import lipschitz_bound
 from scsr_opt.strength import noise_of_mean

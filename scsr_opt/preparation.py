@@ -21,9 +21,9 @@ from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
 from scsr_opt.motion.handed_in import checked, given
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.blur import Blur
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.optics import estimate_gaussian_optics
 from scsr_opt.operators.robust import Loss
-from scsr_opt.operators.sampling import DataTerm
 from scsr_opt.placing import Measurements, Stream, first_picture, measured, stream_around
 from scsr_opt.priors.default import default_prior
 from scsr_opt.priors.prior import Prior

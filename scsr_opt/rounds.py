@@ -17,9 +17,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.robust import Loss, robust_factors
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate, with_exposure
+from scsr_opt.operators.sampling import PlacedSamples, accumulate, with_exposure
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.iterate import Outcome, Solver, run

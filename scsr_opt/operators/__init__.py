@@ -7,12 +7,13 @@
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.checks import DotTest, SpectralNorm, dot_test, norm_bound, spectral_norm
+from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.observation import Observation
 from scsr_opt.operators.operator import Composition, LinearOperator
 from scsr_opt.operators.optics import GaussianOptics, estimate_gaussian_optics
 from scsr_opt.operators.robust import Huber, Loss, Welsch, robust_factors
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, Stencil, Taps, accumulate, place, with_exposure
+from scsr_opt.operators.sampling import PlacedSamples, Taps, accumulate, place, with_exposure
 from scsr_opt.operators.warp import Warp
 
 __all__ = [

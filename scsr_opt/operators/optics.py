@@ -18,8 +18,9 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.blur import Blur
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.robust import residuals
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, accumulate
+from scsr_opt.operators.sampling import PlacedSamples, accumulate
 
 GRID = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 """Standard deviations that are tried, sensor pixels."""

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.operators.checks import norm_bound
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.downsample import Downsample
-from scsr_opt.operators.sampling import DataTerm
 from scsr_opt.priors.prior import Prior
 
 

@@ -21,7 +21,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
-from scsr_opt.operators.sampling import DataTerm
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.priors.checks import whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.iterate import Record, Solver

@@ -11,8 +11,9 @@ from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.optics import GaussianOptics, estimate_gaussian_optics
-from scsr_opt.operators.sampling import DataTerm, PlacedSamples, place
+from scsr_opt.operators.sampling import PlacedSamples, place
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.solvers.iterate import run
 from scsr_opt.solvers.problem import Problem

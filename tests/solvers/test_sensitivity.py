@@ -9,7 +9,7 @@ import pytest
 from scsr_opt.errors import InputError
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.blur import Blur
-from scsr_opt.operators.sampling import DataTerm, Stencil
+from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, RidgeRegulariser, TotalVariation
 from scsr_opt.solvers import Problem, solution
 

@@ -1,0 +1,84 @@
+"""What is left of samples that were accumulated (`scsr_opt.operators.sampling`): a quadratic in B X, by M and c."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from scsr_opt.operators.aperture import Aperture
+from scsr_opt.operators.downsample import Downsample
+from scsr_opt.operators.operator import LinearOperator
+
+# The neighbours that a pixel is coupled with, besides itself; the opposite four follow by symmetry.
+_NEIGHBOURS = ((0, 1), (1, -1), (1, 0), (1, 1))
+
+
+class Stencil(eqx.Module):
+    """A symmetric operator M on pictures that couples each pixel with its eight neighbours.
+
+    **Fields:** `planes` (5, H, W): the diagonal, and the coupling of p with p + (0, 1), (1, −1), (1, 0), (1, 1).
+    """
+
+    planes: Float[Array, "5 H W"]
+
+    def __call__(self, u: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """M u."""
+        height, width = u.shape
+        around = jnp.pad(u, 1)
+        result = self.planes[0] * u
+        for plane, (down, right) in zip(self.planes[1:], _NEIGHBOURS, strict=True):
+            ahead = jax.lax.slice(around, (1 + down, 1 + right), (1 + down + height, 1 + right + width))
+            behind = jnp.pad(plane, 1)
+            behind = jax.lax.slice(behind, (1 - down, 1 - right), (1 - down + height, 1 - right + width))
+            before = jax.lax.slice(around, (1 - down, 1 - right), (1 - down + height, 1 - right + width))
+            result = result + plane * ahead + behind * before
+        return result
+
+
+class DataTerm(eqx.Module):
+    """f(X) = ½⟨U, M U⟩ − ⟨c, U⟩ + ½ e with U = B X: Eq. 4's data part, divided by two.
+
+    **Fields:**
+    - `stencil`: M. `target`: c, of the shape of U. `energy`: e.
+    - `aperture`, `optics`: B = aperture ∘ optics; `optics` None means a perfect lens. The aperture slides over the
+      high-resolution grid, or, where nothing moves, stands on the sensor's: U is (h, w) then.
+    - `bound`: an upper bound of ‖BᵀMB‖ where one is known (`scsr_opt.solvers.with_bound`), so that the next solve with
+      the same M need not find it; None where not.
+    """
+
+    stencil: Stencil
+    target: Float[Array, "rows columns"]
+    energy: Float[Array, ""]
+    aperture: Aperture | Downsample
+    optics: LinearOperator | None
+    bound: Float[Array, ""] | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.aperture.shape
+
+    def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
+        """U = B X."""
+        return self.aperture(image if self.optics is None else self.optics(image))
+
+    def blurred_adjoint(self, u: Float[Array, "rows columns"]) -> Float[Array, "H W"]:
+        """Bᵀ u."""
+        back = self.aperture.adjoint(u)
+        return back if self.optics is None else self.optics.adjoint(back)
+
+    def value_and_gradient(self, image: Float[Array, "H W"]) -> tuple[Float[Array, ""], Float[Array, "H W"]]:
+        """f and its gradient Bᵀ(M B X − c), from one application of M."""
+        u = self.blurred(image)
+        mu = self.stencil(u)
+        value = jnp.sum(u * (0.5 * mu - self.target)) + 0.5 * self.energy
+        return value, self.blurred_adjoint(mu - self.target)
+
+    def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
+        return self.value_and_gradient(image)[0]
+
+    def gradient(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        return self.value_and_gradient(image)[1]
+
+    def normal(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """Bᵀ M B X."""
+        return self.blurred_adjoint(self.stencil(self.blurred(image)))

@@ -55,6 +55,7 @@ class DataTerm(eqx.Module):
 
     @property
     def shape(self) -> tuple[int, int]:
+        """(H, W) of X."""
         return self.aperture.shape
 
     def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
@@ -74,9 +75,11 @@ class DataTerm(eqx.Module):
         return value, self.blurred_adjoint(mu - self.target)
 
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
+        """f(X)."""
         return self.value_and_gradient(image)[0]
 
     def gradient(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """∇f(X) = Bᵀ(M B X − c)."""
         return self.value_and_gradient(image)[1]
 
     def normal(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:

@@ -31,7 +31,6 @@ from scsr_opt.motion.trust import trusted
 from scsr_opt.placing import stream_around
 from scsr_opt.preparation import FRAMES, Prepared, prepare
 from scsr_opt.reconstruction import solve
-from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Solution
 
 # A motion is carried on for so many frames at most: as long as some of those it was estimated from are used. On a
@@ -136,12 +135,13 @@ def _pictures(
         with closing(known):
             for now, prepared in known:
                 if prepared is None:
-                    solver = options.get("solver") or FISTA()
                     given = {**options, "gain": now.followed.gain}
-                    given["solver"] = replace(solver, tolerance=_NEARER * solver.tolerance)
                     if now.followed.strength is not None:
                         given["strength"] = now.followed.strength
                     prepared = prepare(recording, scale=scale, key=now.key, **given, velocity=now.carried)
+                    solver = prepared.rounds.solver
+                    solver = replace(solver, tolerance=_NEARER * solver.tolerance)
+                    prepared = replace(prepared, rounds=replace(prepared.rounds, solver=solver))
                 yield now, prepared
 
     done, followed, before = 0, None, None

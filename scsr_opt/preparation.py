@@ -30,6 +30,7 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.rounds import Rounds
 from scsr_opt.skip import Plan, plan_of
+from scsr_opt.solvers.default import default_solver
 from scsr_opt.solvers.iterate import Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
@@ -227,8 +228,8 @@ def prepare(
     check_type(prior, Prior, "prior", "HuberTotalVariation()")
     prior = default_prior(scale) if prior is None else prior
     check_type(solver, Solver, "solver", "FISTA()")
-    solver = FISTA() if solver is None else solver
-    solver.check(prior)
+    if solver is not None:
+        solver.check(prior)
     check_type(robust, Loss, "robust", "Huber()")
     lens = None if isinstance(optics, str) and optics == "estimate" else optics
     check_type(lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
@@ -279,7 +280,7 @@ def prepare(
         learned["gain_spread_at_rest"] = spread_of(resting, ~known)
     λ = strength_of_noise(noise, scale, prior) if strength is None else strength
     rounds = Rounds(
-        solver=solver,
+        solver=FISTA() if solver is None else solver,
         prior=prior,
         strength=jnp.asarray(λ, jnp.float32),
         optics=lens,
@@ -306,6 +307,10 @@ def prepare(
         λ, near = prepared.validated() if found is None else found.result()
         rounds = replace(prepared.rounds, strength=jnp.asarray(λ, jnp.float32))
         prepared = replace(prepared, rounds=rounds, near=near)
+    if solver is None:
+        apart = taken.placed.on_sensor and prepared.rounds.optics is None
+        chosen = default_solver(prior, strength=λ, scale=scale, apart=apart)
+        prepared = replace(prepared, rounds=replace(prepared.rounds, solver=chosen))
     clock.lap("strength")  # what it takes beyond the samples, where it is looked for beside them
     return prepared
 

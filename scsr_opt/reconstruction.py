@@ -78,8 +78,8 @@ def reconstruct(
     - `strength`: λ; if not given, the one that predicts intervals which were held out
       (`validated_strength`), or, with a robust loss, by their noise. `PlugAndPlay` needs one.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.
-    - `solver`: `FISTA` if not given. Its limit of iterations holds for the whole solve, corrections of exposures
-      included; with `robust`, for each of up to eleven rounds.
+    - `solver`: if not given, `FISTA`, or where nothing moves `DataProximal` (`default_solver`). Its limit of iterations
+      holds for the whole solve, corrections of exposures included; with `robust`, for each of up to eleven rounds.
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
     - `skip`: leave out the work that this scene does not need (`scsr_opt.skip`). False does all of it, for comparison:
       motion of every kind over the whole sensor, every interval as a sample of its own with as many positions along

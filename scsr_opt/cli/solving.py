@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 Prior = Literal["ridge", "huber", "tv", "tv-anisotropic", "tgv", "bilateral", "wavelet", "nl-means", "red"]
 Solver = Literal[
+    "auto",
     "fista",
+    "data-proximal",
     "ista",
     "admm",
     "condat-vu",
@@ -91,10 +93,11 @@ class Solving:
     solver: Annotated[
         Solver,
         Parameter(
-            help="All find the same picture where the prior is convex; fista is the fastest, ista plain Eq. 5. "
-            "nonlinear-cg and lbfgs are for --prior ridge and huber."
+            help="All find the same picture where the prior is convex. auto: fista, or where nothing moves and no "
+            "--iterations are given, data-proximal; ista: plain Eq. 5. data-proximal, nonlinear-cg and lbfgs are for "
+            "--prior ridge and huber."
         ),
-    ] = "fista"
+    ] = "auto"
     iterations: Annotated[
         Whole | None,
         Parameter(
@@ -218,12 +221,14 @@ class Solving:
         return priors.Bounded(prior, float(low), float(high))
 
     def _solver(self) -> Any:
-        if self.solver == "fista" and self.iterations is None:
+        if self.solver == "auto" and self.iterations is None:
             return None
         from scsr_opt import solvers
 
         method = {
+            "auto": solvers.FISTA,
             "fista": solvers.FISTA,
+            "data-proximal": solvers.DataProximal,
             "ista": solvers.ISTA,
             "admm": solvers.ADMM,
             "condat-vu": solvers.CondatVu,

@@ -58,6 +58,12 @@ class DataTerm(eqx.Module):
         """(H, W) of X."""
         return self.aperture.shape
 
+    @property
+    def apart(self) -> bool:
+        """Whether what one sensor pixel gathered says something of its own block of the picture alone, as where nothing
+        moves and the lens is perfect: M is diagonal then, and `prox` is known."""
+        return isinstance(self.aperture, Downsample) and self.optics is None
+
     def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
         """U = B X."""
         return self.aperture(image if self.optics is None else self.optics(image))
@@ -85,3 +91,17 @@ class DataTerm(eqx.Module):
     def normal(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Bᵀ M B X."""
         return self.blurred_adjoint(self.stencil(self.blurred(image)))
+
+    def prox(
+        self, image: Float[Array, "H W"], strength: Float[Array, ""]
+    ) -> tuple[Float[Array, "H W"], Float[Array, ""]]:
+        """argmin over X of ½‖X − image‖² + strength·f(X), for data that are `apart`, and f there.
+
+        With D the mean over s×s blocks, D D* = 1/s². So U = D X solves (1 + τ m/s²) U = D image + τ c/s², m the
+        diagonal of M and τ the strength, pixel by pixel, and X = image + τ D*(c − m U).
+        """
+        assert self.apart
+        area, diagonal = self.aperture.scale**2, self.stencil.planes[0]
+        u = (self.aperture(image) + strength * self.target / area) / (1 + strength * diagonal / area)
+        value = jnp.sum(u * (0.5 * diagonal * u - self.target)) + 0.5 * self.energy
+        return image + self.aperture.adjoint(strength * (self.target - diagonal * u)), value

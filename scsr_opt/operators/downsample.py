@@ -1,6 +1,7 @@
 """The sensor's pixel aperture D_s of Eq. 2."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -46,11 +47,14 @@ class Downsample(LinearOperator):
 
     def _forward(self, x: Float[Array, "H W"]) -> Float[Array, "h w"]:
         rows, columns = self.output_shape
-        # Rows first: the sum along the contiguous axis is the slow one, and is then s times shorter.
-        by_rows = x.reshape(rows, self.scale, columns * self.scale).sum(axis=1)
-        return by_rows.reshape(rows, columns, self.scale).sum(axis=2) / self.scale**2
+        # Rows first: the sum along the contiguous axis is the slow one, and is then s times shorter. Behind a barrier,
+        # or XLA for CPUs computes it anew for each column; and by slices, as it sums short rows one by one
+        # (docs/measurements.md).
+        by_rows = jax.lax.optimization_barrier(x.reshape(rows, self.scale, columns * self.scale).sum(axis=1))
+        columns_apart = (by_rows[:, k :: self.scale] for k in range(self.scale))
+        return sum(columns_apart, start=jnp.zeros((), x.dtype)) / self.scale**2
 
     def _adjoint(self, y: Float[Array, "h w"]) -> Float[Array, "H W"]:
-        rows, columns = self.output_shape
-        share = (y / self.scale**2)[:, None, :, None]
-        return jnp.broadcast_to(share, (rows, self.scale, columns, self.scale)).reshape(self.shape)
+        # Columns first: copies of a whole row are the fast ones.
+        wide = jax.lax.optimization_barrier(jnp.repeat(y / self.scale**2, self.scale, axis=1))
+        return jnp.repeat(wide, self.scale, axis=0)

@@ -4,6 +4,7 @@ import abc
 from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
+import jax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -35,9 +36,18 @@ class Prior(eqx.Module, Generic[State]):
         + Ψ(X)."""
         return False
 
+    @property
+    def lipschitz(self) -> float | None:
+        """A Lipschitz constant of ∇Ψ, where Ψ is convex and smooth and one is known; None elsewhere."""
+        return None
+
     @abc.abstractmethod
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image)."""
+
+    def gradient(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """∇Ψ(image), for priors that are `smooth`."""
+        return jax.grad(self.value)(image)
 
     def value_after(self, image: Float[Array, "H W"], state: State) -> Float[Array, ""]:
         """Ψ(image), `image` and `state` being what a proximal step gave: for priors that know it by then."""

@@ -103,6 +103,11 @@ class RidgeRegulariser(Prior[RidgeState]):
         self.curvature = norm_squared * max(float(s.max()), 0.0)
         self.concavity = norm_squared * max(-float(s.min()), 0.0)
 
+    @property
+    def lipschitz(self) -> float | None:
+        """`curvature`, if Ψ is convex."""
+        return self.curvature if self.concavity == 0 else None
+
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image)."""
         return self.value_and_gradient(image)[0]

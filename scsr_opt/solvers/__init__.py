@@ -1,6 +1,7 @@
 """Methods for Eq. 4, halved: minimise f(X) + λ Ψ(X) over pictures X.
 
-`run(FISTA(), problem, image)` is the loop that they share. `FISTA` is the one to use; `ISTA` is Eq. 5 as it stands.
+`run(FISTA(), problem, image)` is the loop that they share. `FISTA` is the one to use, and where nothing moves
+`DataProximal` (`default_solver`); `ISTA` is Eq. 5 as it stands.
 `ADMM`, `CondatVu` and `ChambollePock` split the prior off by a dual variable; `NonlinearCG` and `LBFGS` (optimistix)
 are for smooth priors. `JaxoptISTA` and `JaxoptFISTA` do the same by an independent implementation, and `JaxoptADMM`
 solves the linear systems of `ADMM` by one.
@@ -8,6 +9,8 @@ solves the linear systems of `ADMM` by one.
 """
 
 from scsr_opt.solvers.admm import ADMM, JaxoptADMM
+from scsr_opt.solvers.data_proximal import DataProximal
+from scsr_opt.solvers.default import default_solver
 from scsr_opt.solvers.iterate import Outcome, Record, Solver, run
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
@@ -30,6 +33,7 @@ __all__ = [
     "ChambollePock",
     "CondatVu",
     "ConjugateGradients",
+    "DataProximal",
     "DualityGap",
     "Fixed",
     "FixedPoint",
@@ -51,6 +55,7 @@ __all__ = [
     "Stage",
     "StepSize",
     "Stopping",
+    "default_solver",
     "lipschitz_bound",
     "with_bound",
     "run",

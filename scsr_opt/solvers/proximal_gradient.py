@@ -113,8 +113,7 @@ class _ProximalGradient(Solver[ProximalGradientState]):
         )
 
     def kept(self, state: ProximalGradientState) -> ProximalGradientState:
-        image = state.image
-        return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image, step_size=image)
+        return without_steps(state)
 
     def _step(self, problem: Problem, state: ProximalGradientState) -> _Step:
         """From the point ahead, with a step size that is short enough."""
@@ -145,6 +144,12 @@ class _ProximalGradient(Solver[ProximalGradientState]):
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         """The next t, and how far to go ahead: along the change from picture to picture, and along the last step, which
         began at the point ahead. `worse`: whether the momentum points uphill, or the objective rose."""
+
+
+def without_steps(state: ProximalGradientState) -> ProximalGradientState:
+    """The state with its picture in the place of all that a solve of something similar does not begin with."""
+    image = state.image
+    return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image, step_size=image)
 
 
 def _evidence(problem: Problem, step: _Step, residual: Float[Array, ""]) -> tuple[Float[Array, ""], Evidence]:
@@ -193,7 +198,15 @@ class FISTA(_ProximalGradient):
     optimised: bool = True
 
     def _extrapolation(self, t, worse):
-        t = jnp.where(worse, 1, t)
-        following = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
-        beyond = jnp.where(worse, 0, t / following) if self.optimised else jnp.zeros_like(t)
-        return following, jnp.where(worse, 0, (t - 1) / following), beyond
+        return momentum(t, worse, optimised=self.optimised)
+
+
+def momentum(
+    t: Float[Array, ""], worse: Bool[Array, ""], *, optimised: bool = True
+) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    """What `FISTA` goes ahead by: the next t, and the factors of the change from picture to picture and of the last
+    step. `worse`: whether it begins anew."""
+    t = jnp.where(worse, 1, t)
+    following = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
+    beyond = jnp.where(worse, 0, t / following) if optimised else jnp.zeros_like(t)
+    return following, jnp.where(worse, 0, (t - 1) / following), beyond

@@ -64,6 +64,8 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
         ("--solver jaxopt-ista", "solver", solvers.JaxoptISTA()),
         ("--solver jaxopt-fista", "solver", solvers.JaxoptFISTA()),
         ("--solver jaxopt-admm", "solver", solvers.JaxoptADMM()),
+        ("--solver fista", "solver", solvers.FISTA()),
+        ("--solver data-proximal", "solver", solvers.DataProximal()),
         ("--iterations 7", "solver", solvers.FISTA(iterations=7)),
         ("--iterations 7 --solver admm", "solver", solvers.ADMM(iterations=7)),
         ("--strength 0.5", "strength", 0.5),
@@ -87,17 +89,18 @@ def test_the_learned_prior(scsr, file, asked):
 
 def test_what_is_said_is_the_default_changes_nothing(scsr, file, asked):
     scsr(
-        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--solver", "fista", "--refine", "0"
+        "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--solver", "auto", "--refine", "0"
     )  # fmt: skip
     assert asked[0].keys() == {"spikes", "scale", "key", "frames"}
 
 
 def test_every_solver_and_prior_by_its_name():
     """None is forgotten when one is added to the packages."""
-    assert len(get_args(solving.Solver)) == sum(
+    methods = sum(
         isinstance(kind, type) and issubclass(kind, solvers.Solver) and kind is not solvers.Solver
         for kind in vars(solvers).values()
     )
+    assert len(get_args(solving.Solver)) == methods + 1  # auto
     # Bounds are an option of their own, and a centre is a picture that only a program has at hand.
     unnamed = {priors.Prior, priors.Analysis, priors.Bounded, priors.Centred}
     kinds = {kind for kind in vars(priors).values() if isinstance(kind, type) and issubclass(kind, priors.Prior)}

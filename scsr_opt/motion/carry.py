@@ -23,9 +23,8 @@ def carry(motion: Motion, frames: float | int) -> Motion:
         velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"]
     ) -> tuple[Float[np.ndarray, "2 h w"], Float[np.ndarray, "2 h w"]]:
         v, a = jnp.asarray(velocity), jnp.asarray(acceleration)
-        origin = inverse(v, a, after)[0]
-        both = np.asarray(bilinear(jnp.concatenate([v, a]), origin[0], origin[1]))
-        return both[:2] + np.float32(frames) * both[2:], both[2:]
+        of_velocity, of_acceleration = np.asarray(_read(v, a, inverse(v, a, after)[0]))
+        return of_velocity + np.float32(frames) * of_acceleration, of_acceleration
 
     position, visible = (np.asarray(found[0]) for found in seen_at(motion, after))
     height, width = motion.velocity.shape[1:]
@@ -39,6 +38,14 @@ def carry(motion: Motion, frames: float | int) -> Motion:
     label = np.where(visible > 0, layers.label[row, column], np.argmin(layers.depth)).astype(np.int32)
     carried = Layers(np.stack([v for v, _ in fields]), np.stack([a for _, a in fields]), label, layers.depth)
     return Motion.of_layers(carried, confidence)
+
+
+@jax.jit
+def _read(
+    velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], place: Float[Array, "2 h w"]
+) -> Float[Array, "2 2 h w"]:
+    """Both fields there."""
+    return jnp.stack([bilinear(field, place[0], place[1]) for field in (velocity, acceleration)])
 
 
 def moved_along(motion: Motion, frames: float | int, scale: int, pictures: Any) -> Any:

@@ -83,8 +83,10 @@ class DataProximal(Solver[ProximalGradientState]):
         penalty = problem.strength * problem.prior.value(image)
         objective = data + penalty
 
-        slope = jnp.linalg.norm(image - ahead) / τ
-        residual = relative(slope / lipschitz_bound(problem.data), image)
+        β = 1 / lipschitz_bound(problem.data)
+        # Of a step shorter than rounding it is not known that it is none.
+        residual = relative(jnp.linalg.norm(image - ahead), image) + jnp.finfo(image.dtype).eps
+        residual = residual * (β / τ)
         t, along, beyond = momentum(state.momentum, objective > state.objective)
         following = state._replace(
             image=image,

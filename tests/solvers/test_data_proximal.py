@@ -135,6 +135,12 @@ def test_the_residual_bounds_that_of_fista(name):
     assert last.residual < 0.1 * first.residual
 
 
+def test_steps_below_rounding_are_not_taken_for_the_end():
+    """With λ = 10⁶ a step from a flat picture is 10⁻⁹ long, and FISTA is the one to take."""
+    outcome = run(DataProximal(iterations=5), at_rest(PRIORS["Huber-TV"], 1e6), start())
+    assert outcome.result is Result.iterations_exhausted
+
+
 def test_what_it_cannot_solve_is_refused(case):
     with pytest.raises(InputError, match="TotalVariation that is not smooth and convex"):
         run(DataProximal(), at_rest(TotalVariation(), 1e-3), start())

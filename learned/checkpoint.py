@@ -108,7 +108,8 @@ def grafted(model: Any, name: str) -> tuple[Any, Card]:
     """`model` with the weights of a file in the place of its own wherever the file has some, and the file's card.
 
     A part of a network (`learned.velocity.VelocityNet`) has a place in it of the same name. Either may be the part: the
-    rest of a network keeps its weights, the rest of a file is not used.
+    rest of a network keeps its weights, the rest of a file is not used. A whole SpikeSR-Net may be of another scale
+    (`learned.rescaling`).
 
     **Arguments:** `name`: of shipped weights, for example `spikesr_small_x4`, or the path of a .scsr file; with a colon
     and the name of a part behind it, `spikesr_small_x4:velocity`, that part alone is taken.
@@ -122,6 +123,8 @@ def grafted(model: Any, name: str) -> tuple[Any, Card]:
     shipped = SHIPPED / f"{file}.scsr"
     path = shipped if shipped.is_file() else Path(file)
     given, card = load(path)
+    if asked is None:
+        given = _rescaled(given, model)
     theirs = {
         jax.tree_util.keystr(place): leaf
         for place, leaf in _weights(given)
@@ -146,6 +149,16 @@ def grafted(model: Any, name: str) -> tuple[Any, Card]:
         return leaf if found is None else jnp.asarray(found, leaf.dtype)
 
     return jax.tree_util.tree_map_with_path(chosen, model), card
+
+
+def _rescaled(given: Any, model: Any) -> Any:
+    from learned.spikesr import SpikeSRNet
+
+    if not (isinstance(given, SpikeSRNet) and isinstance(model, SpikeSRNet)):
+        return given
+    from learned.rescaling import rescaled
+
+    return given if given.config.scale == model.config.scale else rescaled(given, model)
 
 
 def _weights(model: Any) -> list[tuple[Any, Any]]:

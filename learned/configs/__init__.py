@@ -31,7 +31,8 @@ class TrainingConfig:
       take the spikes themselves (`learned.prepared`); None for the others, which see none twice.
     - `start`: names of shipped weights (`spikesr_small_x4`) or paths of .scsr files, put in the place of the random
       first weights one after the other; each may be of a part of the network only, or of a
-      larger one, of which a part can be named: `spikesr_small_x4:velocity` (`learned.checkpoint.grafted`).
+      larger one, of which a part can be named: `spikesr_small_x4:velocity`, or of another scale
+      (`learned.checkpoint.grafted`).
     - `batch`: examples per step; the paper's 6.
     - `steps`: of Adam (Kingma and Ba 2015).
     - `rate`: the greatest learning rate. `schedule`: `constant`; `halving` every `halve_every` steps; `cosine`, from 0

@@ -172,6 +172,7 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
     outcome, placed = found.outcome, prepared.taken.placed
     stats = {
         "iterations": len(stages),
+        "solver": type(prepared.rounds.solver).__name__,
         "samples": int(jnp.count_nonzero(placed.weight)),
         "positions": placed.finest,
         "strength": float(prepared.rounds.strength),

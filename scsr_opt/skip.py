@@ -11,6 +11,8 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
   picture gives none. An exposure has as many positions as what it sees moves.
 - **The grid.** Where nothing moves at all, samples lie on the sensor's grid, and the blurred picture is not computed in
   between.
+- **The iteration.** There, seen through a perfect lens, a sensor pixel says something of its own block of the picture
+  alone: the step along the data is exact, and what is left is a cheap one along the prior (`DataProximal`).
 - **The strength.** Where nothing moves at all, what is held out to find λ, and what is kept, are sums over each pixel's
   intervals, which are not made one by one.
 - **Gains.** Windows of a large sensor, and some of the pixels, say whether there is a fixed pattern; all of them are

@@ -129,6 +129,8 @@ def _explained(solution: Any) -> list[str]:
         f"One more iteration with these measurements would change the picture by {100 * stage.residual:.1g} % at most."
         for stage in solution.stages[-1:]
     ]
+    if solution.stats.get("solver") == "DataProximal":
+        left.insert(0, "Solver: data-proximal; no pixel's block overlaps another's, so steps along the data are exact.")
     return [*solution.plan.lines(), *left, f"Time: {parts}."]
 
 

@@ -47,12 +47,12 @@ def test_solve_is_silent_when_asked(scsr, file, asked):
 def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     plan = Plan(np.array([[0, 2, 2]]), np.array([[31, 1, 1]]), np.ones((1, 3), np.float32), "2 layers", 500, 200)
     stages = (Stage(1, 1.0, 0.5, 0.5, 2e-4, 1.0),)
-    stats = {"seconds": {"motion": 0.5}}
+    stats = {"seconds": {"motion": 0.5}, "solver": "DataProximal"}
     solution = Solution(np.zeros((48, 80), np.float32), stages, Result.converged, stats, plan=plan)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
-    assert "Time: motion 0.50 s." in said
+    assert "Solver: data-proximal; no pixel's block overlaps another's" in said and "Time: motion 0.50 s." in said
     assert "One more iteration with these measurements would change the picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
         assert figure.width > figure.height

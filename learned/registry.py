@@ -190,11 +190,14 @@ def _on_inputs(
 def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
     from learned.restoration import RestorationConfig, RestorationNet, first_prior, restoration_loss, restored
     from scsr_opt.reconstruction import reconstruct
+    from scsr_opt.solvers.proximal_gradient import FISTA
 
     config = _replaced(RestorationConfig(scale), network)
 
     def solution(spikes: Any, white_rate: Any) -> tuple[Float[np.ndarray, "H W"], np.float32]:
-        found = reconstruct(np.asarray(spikes), scale=scale, white_rate=float(white_rate), prior=first_prior())
+        # By the solver that is named where the network is used (`learned.models`).
+        given = {"white_rate": float(white_rate), "prior": first_prior(), "solver": FISTA()}
+        found = reconstruct(np.asarray(spikes), scale=scale, **given)
         return found.image, np.float32(found.stats.get("strength", 0.0))  # none where nothing was seen
 
     def make(example: Example) -> Mapping[str, Any]:

@@ -41,9 +41,9 @@ _OLDEST = 100
 # recording 6, 8, 16, 19, 21, 23 and 25 % did after 0, 5, 20, 40, 60, 75 and 95 frames, 4.1 times as many at last; a
 # turning disc lost 0.3 dB up to 1.6 times, and 0.5 at 4.5.
 _MORE, _SHARE = 4.2, 0.005
-# Going on from the picture before, a residual of so many tolerances leaves about as much of the objective (0.006 to
+# Going on from the picture before, a residual of so many tolerances leaves about as much of the objective (0.004 to
 # 0.008 %, and from scratch 0.001 to 0.004 %) as one tolerance does from scratch.
-_NEARER = 2.0
+_NEARER = 1.5
 # After the last of the items.
 _END: Any = object()
 Item = TypeVar("Item")

@@ -78,7 +78,7 @@ def test_ends_are_samples_of_their_own(made):
 
 def test_noise_weighs_samples(made):
     """Only the weights change: where the noise of all light is the same, to those of duration."""
-    still = {"scale": 1, "velocity": (0.0, 0.0), "strength": 0.01}
+    still = {"scale": 1, "velocity": (0.0, 0.0), "strength": 0.01, "solver": FISTA(tolerance=1e-5)}
     alike, shot = Noise(photons=1e-9, dark_rate=1e9), Noise(photons=25.0)  # 10⁹ of dark charge drown what differs
     by_duration, by_alike, by_shot = (
         reconstruct(made.spikes, samples=Intervals(noise=noise), **still).image for noise in (None, alike, shot)

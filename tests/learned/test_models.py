@@ -25,6 +25,7 @@ from scsr_opt import InputError, Recording, Result, preparation, reconstruct
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static
 from scsr_opt.motion.trajectory import Motion
+from scsr_opt.solvers import FISTA
 from scsr_opt.solvers.problem import lipschitz_bound
 
 TINY = {
@@ -52,7 +53,7 @@ def posed(recording) -> Posed:
 
 @pytest.fixture(scope="module")
 def solution(recording):
-    return reconstruct(recording, scale=2, prior=posing.PRIOR)
+    return reconstruct(recording, scale=2, prior=posing.PRIOR, solver=FISTA())
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +102,7 @@ def test_which_models_can_be_used(shelf):
 
 @pytest.mark.parametrize(("scale", "name"), [(2, "ridge"), (4, "fista-huber")])
 def test_the_default_rung_is_reconstruct(recording, scale, name):
-    rung, usual = model(name, scale)(recording, scale=scale), reconstruct(recording, scale=scale)
+    rung, usual = model(name, scale)(recording, scale=scale), reconstruct(recording, scale=scale, solver=FISTA())
     np.testing.assert_array_equal(rung.image, usual.image)
     assert [stage.objective for stage in rung.stages] == [stage.objective for stage in usual.stages]
 
@@ -116,7 +117,12 @@ def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
     rung = model("fista-huber", 2)
     assert isinstance(rung, Optimizer)
     again = reconstruct(
-        posed.moment.recording, scale=2, key=posed.moment.key, strength=float(posed.strength), prior=posing.PRIOR
+        posed.moment.recording,
+        scale=2,
+        key=posed.moment.key,
+        strength=float(posed.strength),
+        prior=posing.PRIOR,
+        solver=FISTA(),
     )
     np.testing.assert_array_equal(rung.solve(posed).image, again.image)
     again = rung.solve(posed, start=solution.image)

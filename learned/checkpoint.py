@@ -152,13 +152,12 @@ def grafted(model: Any, name: str) -> tuple[Any, Card]:
 
 
 def _rescaled(given: Any, model: Any) -> Any:
+    """`given`, or if both are whole SpikeSR-Nets and not of one scale, that for the scale of `model`."""
+    from learned.rescaling import rescaled
     from learned.spikesr import SpikeSRNet
 
-    if not (isinstance(given, SpikeSRNet) and isinstance(model, SpikeSRNet)):
-        return given
-    from learned.rescaling import rescaled
-
-    return given if given.config.scale == model.config.scale else rescaled(given, model)
+    whole = isinstance(given, SpikeSRNet) and isinstance(model, SpikeSRNet)
+    return rescaled(given, model) if whole and given.config.scale != model.config.scale else given
 
 
 def _weights(model: Any) -> list[tuple[Any, Any]]:

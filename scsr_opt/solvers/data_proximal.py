@@ -1,23 +1,21 @@
 """Forward–backward splitting with the roles of Eq. 5 exchanged, for scenes in which nothing moves."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.iterate import Record, Solver
+from scsr_opt.solvers.iterate import Record
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
-from scsr_opt.solvers.proximal_gradient import ProximalGradientState, momentum, without_steps
+from scsr_opt.solvers.proximal_gradient import ProximalGradient, ProximalGradientState, momentum
 from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative
 
 # λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
 _FLATTEST = 1e-3
 
 
-class DataProximal(Solver[ProximalGradientState]):
+class DataProximal(ProximalGradient):
     """X ← argmin over X of ½‖X − R‖² + τ f(X), R = X − τλ∇Ψ(X): Eq. 5 with its roles exchanged, with the momentum of
     `FISTA`, which begins anew whenever the objective rose.
 
@@ -33,15 +31,11 @@ class DataProximal(Solver[ProximalGradientState]):
     X + βλ∇Ψ(X); and ‖∇F(X)‖ ≤ ‖A − X‖/τ, A the picture that the step began at, as a gradient step of size τ on λΨ is
     nonexpansive, too.
 
-    The state is one of `FISTA`, so that either goes on from the other's: a scene may come to rest.
-
     **Fields:** `iterations`, `tolerance`: as of every `Solver`.
 
     **Errors:** `InputError`, when a run begins, for a prior that is not smooth and convex (`Prior.lipschitz`), or for
     data that are not `DataTerm.apart`.
     """
-
-    state_type: ClassVar[type] = ProximalGradientState
 
     iterations: int = 200
     tolerance: float | int = 1e-4
@@ -64,17 +58,8 @@ class DataProximal(Solver[ProximalGradientState]):
             )
         assert problem.prior.lipschitz is not None  # `check` saw to it
         steepest = problem.strength * problem.prior.lipschitz
-        return ProximalGradientState(
-            image=image,
-            gradient=image,
-            ahead=image,
-            ahead_gradient=image,
-            gradient_step=image,
-            momentum=jnp.ones((), image.dtype),
-            objective=jnp.full((), jnp.inf, image.dtype),
-            prior=problem.prior.initial_state(image),
-            step_size=1 / jnp.maximum(steepest, _FLATTEST * lipschitz_bound(problem.data)),
-        )
+        step_size = 1 / jnp.maximum(steepest, _FLATTEST * lipschitz_bound(problem.data))
+        return self._first(problem, image, gradient=image, step_size=step_size)  # that of f is not looked at
 
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         τ, ahead = state.step_size, state.ahead
@@ -96,18 +81,3 @@ class DataProximal(Solver[ProximalGradientState]):
             objective=objective,
         )
         return following, Record(data, penalty, residual, jnp.full_like(residual, jnp.nan), τ)
-
-    def image(self, state: ProximalGradientState) -> Float[Array, "H W"]:
-        return state.image
-
-    def gradient_step(self, problem: Problem, state: ProximalGradientState) -> Float[Array, "H W"]:
-        return state.gradient_step
-
-    def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
-        return self.init(problem, state.image)._replace(prior=state.prior)
-
-    def retargeted(self, problem: Problem, before: Problem, state: ProximalGradientState) -> ProximalGradientState:
-        return state._replace(objective=jnp.full_like(state.objective, jnp.inf))
-
-    def kept(self, state: ProximalGradientState) -> ProximalGradientState:
-        return without_steps(state)

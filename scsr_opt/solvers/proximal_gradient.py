@@ -40,8 +40,53 @@ class _Step(NamedTuple):
     gradient: Float[Array, "H W"]
 
 
-class _ProximalGradient(Solver[ProximalGradientState]):
+class ProximalGradient(Solver[ProximalGradientState]):
+    """Gradient steps on one of f and λΨ and proximal ones on the other: what such methods have in common. Their states
+    are alike, so that each goes on from another's: a scene may come to rest."""
+
     state_type: ClassVar[type] = ProximalGradientState
+
+    def image(self, state: ProximalGradientState) -> Float[Array, "H W"]:
+        return state.image
+
+    def gradient_step(self, problem: Problem, state: ProximalGradientState) -> Float[Array, "H W"]:
+        return state.gradient_step
+
+    def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
+        return self.init(problem, state.image)._replace(prior=state.prior)
+
+    def retargeted(self, problem: Problem, before: Problem, state: ProximalGradientState) -> ProximalGradientState:
+        # The momentum goes on: begun anew every few iterations it would never come to anything.
+        return state._replace(objective=jnp.full_like(state.objective, jnp.inf))  # that of another problem says nothing
+
+    def kept(self, state: ProximalGradientState) -> ProximalGradientState:
+        image = state.image
+        return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image, step_size=image)
+
+    def _first(
+        self,
+        problem: Problem,
+        image: Float[Array, "H W"],
+        *,
+        gradient: Float[Array, "H W"],
+        step_size: Float[Array, "*pixels"],
+    ) -> ProximalGradientState:
+        """The state before the first iteration, without momentum."""
+        return ProximalGradientState(
+            image=image,
+            gradient=gradient,
+            ahead=image,
+            ahead_gradient=gradient,
+            gradient_step=image,
+            momentum=jnp.ones((), image.dtype),
+            objective=jnp.full((), jnp.inf, image.dtype),
+            prior=problem.prior.initial_state(image),
+            step_size=step_size,
+        )
+
+
+class _PriorProximal(ProximalGradient):
+    """Eq. 5: gradient steps on f, proximal ones on λΨ."""
 
     iterations: int = 200
     tolerance: float | int = 1e-4
@@ -52,17 +97,8 @@ class _ProximalGradient(Solver[ProximalGradientState]):
         return super().prepared(problem) if self.step_size.needs_bound(problem) else problem
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
-        gradient = problem.data.gradient(image)
-        return ProximalGradientState(
-            image=image,
-            gradient=gradient,
-            ahead=image,
-            ahead_gradient=gradient,
-            gradient_step=image,
-            momentum=jnp.ones((), image.dtype),
-            objective=jnp.full((), jnp.inf, image.dtype),
-            prior=problem.prior.initial_state(image),
-            step_size=self.step_size.first(problem),
+        return self._first(
+            problem, image, gradient=problem.data.gradient(image), step_size=self.step_size.first(problem)
         )
 
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
@@ -94,26 +130,10 @@ class _ProximalGradient(Solver[ProximalGradientState]):
         )
         return following, Record(step.data, penalty, residual, self.stopping.gap(evidence), shortest)
 
-    def image(self, state: ProximalGradientState) -> Float[Array, "H W"]:
-        return state.image
-
-    def gradient_step(self, problem: Problem, state: ProximalGradientState) -> Float[Array, "H W"]:
-        return state.gradient_step
-
-    def warm(self, problem: Problem, state: ProximalGradientState) -> ProximalGradientState:
-        return self.init(problem, state.image)._replace(prior=state.prior)
-
     def retargeted(self, problem: Problem, before: Problem, state: ProximalGradientState) -> ProximalGradientState:
-        # The momentum goes on: begun anew every few iterations it would never come to anything.
         change = problem.change_of_gradient(before)
-        return state._replace(
-            gradient=state.gradient + change,
-            ahead_gradient=state.ahead_gradient + change,
-            objective=jnp.full_like(state.objective, jnp.inf),  # that of another problem says nothing
-        )
-
-    def kept(self, state: ProximalGradientState) -> ProximalGradientState:
-        return without_steps(state)
+        state = super().retargeted(problem, before, state)
+        return state._replace(gradient=state.gradient + change, ahead_gradient=state.ahead_gradient + change)
 
     def _step(self, problem: Problem, state: ProximalGradientState) -> _Step:
         """From the point ahead, with a step size that is short enough."""
@@ -146,12 +166,6 @@ class _ProximalGradient(Solver[ProximalGradientState]):
         began at the point ahead. `worse`: whether the momentum points uphill, or the objective rose."""
 
 
-def without_steps(state: ProximalGradientState) -> ProximalGradientState:
-    """The state with its picture in the place of all that a solve of something similar does not begin with."""
-    image = state.image
-    return state._replace(gradient=image, ahead=image, ahead_gradient=image, gradient_step=image, step_size=image)
-
-
 def _evidence(problem: Problem, step: _Step, residual: Float[Array, ""]) -> tuple[Float[Array, ""], Evidence]:
     """λΨ(X), and what the step tells of X. What is not measured of it is not computed, either."""
     λ, prior = problem.strength, problem.prior
@@ -164,7 +178,7 @@ def _evidence(problem: Problem, step: _Step, residual: Float[Array, ""]) -> tupl
     return penalty, Evidence(step.image, step.data + penalty, slope, None, residual)
 
 
-class ISTA(_ProximalGradient):
+class ISTA(_PriorProximal):
     """Iterative shrinkage-thresholding: X ← prox(X − β∇f(X)), Eq. 5 as it stands.
 
     The objective decreases in every iteration for β ≤ 1/L (L the Lipschitz constant of ∇f), as O(1/t) (Beck and
@@ -178,7 +192,7 @@ class ISTA(_ProximalGradient):
         return t, none, none
 
 
-class FISTA(_ProximalGradient):
+class FISTA(_PriorProximal):
     """ISTA with momentum: O(1/t²) (Beck and Teboulle, 2009), restarted whenever the momentum points uphill or the
     objective rose (both schemes of O'Donoghue and Candès, 2015), which makes it linear where the problem allows it.
 

@@ -149,9 +149,10 @@ def keeping_memory() -> Iterator[None]:
     except (OSError, AttributeError, TypeError):  # another system, or another C library
         yield
         return
-    # Kept, then nearly as it is by default: no mapping for a large array of its own; nothing trimmed; one arena for new
-    # threads. (That glibc adapts its thresholds is over for this process.)
-    options = ((-4, 0, 65536), (-1, -1, 128 * _KILOBYTE), (-8, 1, 0))
+    # Kept, then nearly as it is by default: no mapping for a large array of its own; nothing trimmed; heaps of other
+    # threads, of 64 MB, not given back where they are empty; one arena for new threads. (That glibc adapts its
+    # thresholds is over for this process.)
+    options = ((-4, 0, 65536), (-1, -1, 128 * _KILOBYTE), (-2, 65536 * _KILOBYTE, 128 * _KILOBYTE), (-8, 1, 0))
     for name, kept, _ in options:
         tune(name, kept)
     try:

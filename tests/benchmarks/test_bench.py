@@ -234,12 +234,16 @@ def test_kept_memory_is_not_cleared_again():
         double(ones).block_until_ready()
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
         for _ in range(4):
-            np.testing.assert_array_equal(double(ones)[:2], 2)
+            double(ones).block_until_ready().delete()
         return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
-    with bench_timing.keeping_memory():
-        kept = faults()
-    assert kept < faults() / 2
+    kept, usual = [], []
+    for _ in range(6):  # which memory is free by the time of a call is a matter of threads
+        with bench_timing.keeping_memory():
+            kept.append(faults())
+        usual.append(faults())
+    # At first there is nothing that could have been kept.
+    assert sum(kept[1:]) < sum(usual[1:]) / 2
 
 
 def test_numpy_accumulates_the_same():

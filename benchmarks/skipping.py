@@ -1,6 +1,6 @@
 """What is saved by skipping what a scene doesn't need, and what that costs in the picture.
 
-    python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 200] [--rounds 3]
+    python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 101] [--rounds 3]
 
 For each recording (without any: five simulated scenes at ×2) `reconstruct` runs with and without `skip`, in turns. The
 table gives the medians of the seconds and their ratio; by how much the skipping picture's objective is above the other

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.camera.samples import Samples
+from scsr_opt.motion.stacks import folded
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 
 # The share of what its light is worth at most from which on a pixel counts as seen.
@@ -113,4 +114,4 @@ def _usable(path: Trajectory) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]
     # A tolerance, so that rounding does not take the border row of a scene at rest out of the picture.
     inside = (down >= -1e-4) & (right >= -1e-4) & (down <= height - 1 + 1e-4) & (right <= width - 1 + 1e-4)
     usable = jnp.where(inside, path.visible, 0)
-    return usable, usable.min(0) < _SEEN * usable.max(0)
+    return usable, folded(jnp.minimum, usable) < _SEEN * folded(jnp.maximum, usable)

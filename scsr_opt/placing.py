@@ -18,7 +18,7 @@ from scsr_opt.camera.samples import RUN, Samples
 from scsr_opt.cutting import cut_to_seen
 from scsr_opt.inputs import bad_pixels_of, whole
 from scsr_opt.motion.estimate import filled
-from scsr_opt.motion.trajectory import Motion, Speeds, Trajectory, trajectory_of
+from scsr_opt.motion.trajectory import SPACING, Changes, Motion, Trajectory, trajectory_of
 from scsr_opt.operators.robust import Loss, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, place
 
@@ -27,8 +27,11 @@ _MERGED_MOTION = 0.25
 # It is worth it where so large a share of the pixels is still for so many frames: samples that are not merged serve to
 # validate the strength, too.
 _MERGED_SHARE, _MERGED_LONG = 0.25, 16
-# How far the weight of what a pixel sees may change while intervals are merged.
+# How far the weight of what a pixel sees may change while intervals are merged as it rests.
 _MERGED_CHANGE = 0.25
+# And during a run of intervals of one frame that is merged, or an exposure with a single position: both have one weight
+# while something comes into view or is hidden.
+_STEADY = 0.125
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
 # through an aperture of one, and of that they all miss about as much (`scsr_opt.operators.sampling`).
 _POSITIONS, _REACHES = (5, 3, 2, 1), (1.45, 0.8, 0.3)
@@ -192,21 +195,19 @@ def measured(
     followed = isinstance(motion, Trajectory)
     path = motion if followed else trajectory_of(motion, key=stream.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
-    speeds = path.speeds
+    speeds, unsteady = path.speeds, path.unsteady
     fastest = speeds.most
     still_for = merged_for = np.ones((height, width), np.int32)
     run = 1
     if merge and isinstance(measuring, Intervals):
         with np.errstate(divide="ignore", over="ignore"):
             still = _MERGED_MOTION / (scale * fastest)
-            # A merged interval has one weight.
-            steady = _MERGED_CHANGE / path.unsteady
+            steady = _MERGED_CHANGE / unsteady.most
         most = frames if longest is None else min(longest, frames)
         still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
         worthwhile = longest is not None or np.mean(still_for >= _MERGED_LONG) >= _MERGED_SHARE
         merged_for = np.minimum(still_for, most) if worthwhile else merged_for
-        with np.errstate(divide="ignore"):
-            run = np.clip(_FARTHEST / fastest, 1, RUN).astype(np.int32)
+        run = np.asarray(_runs(path))
     samples = measuring(
         stream.spikes, white_rate=stream.white_rate, still_for=merged_for, run=run, bad_pixels=stream.bad_pixels
     )  # fmt: skip
@@ -217,7 +218,7 @@ def measured(
     if isinstance(measuring, Intervals) and measuring.noise is not None:
         weight = measuring.noise.weights(samples, _mean_light(stream))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
-    order, positions = _longest_first(samples, speeds, each=merge)
+    order, positions = _longest_first(samples, speeds, unsteady, each=merge)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
@@ -232,6 +233,18 @@ def measured(
     return Measurements(samples, light, padded, placed, still_for, merged_for, path)
 
 
+@eqx.filter_jit
+def _runs(path: Trajectory) -> Int[Array, "blocks h w"]:
+    """Over how many frames intervals of one frame are merged, for every `RUN` frames (`spike_intervals`)."""
+    if path.position.shape[0] == 1:
+        return jnp.full(path.visible.shape, RUN, jnp.int8)
+    assert RUN == SPACING  # each run lies between two moments
+    moved, changed = (jnp.diff(of, axis=0) / SPACING for of in (path.position, path.visible))
+    down, right = moved[:, 0], moved[:, 1]
+    run = jnp.minimum(_FARTHEST / jnp.sqrt(down**2 + right**2), _STEADY / jnp.abs(changed))
+    return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN).astype(jnp.int8)
+
+
 def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
     """Mean intensity over the recording and over neighbouring pixels."""
     rate = stream.spikes.mean(0, dtype=np.float32) / np.float32(stream.white_rate)
@@ -240,16 +253,19 @@ def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
 
 
 def _longest_first(
-    samples: Samples, speeds: Speeds, *, each: bool
+    samples: Samples, speeds: Changes, unsteady: Changes, *, each: bool
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """The samples' numbers, and how many positions each gets along its exposure, those with most first: `each` as many
-    as it needs, or all as many as any of them does."""
+    as it needs, or all as many as any of them does. A second one is needed where visibility changes, too."""
     with np.errstate(over="ignore", invalid="ignore"):
         speed = speeds.during(samples.row, samples.column, samples.start, samples.stop)
         moved = speed * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
     for reach in _REACHES:
         level += moved >= reach
+    single = np.flatnonzero(level == 0)
+    where = [of[single] for of in (samples.row, samples.column, samples.start, samples.stop)]
+    level[single] = unsteady.during(*where) * (where[3] - where[2]) >= _STEADY
     if level.max(initial=0) == 1 and samples.weight[level == 1].sum() <= _FEW_LONG * samples.weight.sum():
         level = np.zeros_like(level)
     if not each:

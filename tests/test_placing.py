@@ -73,6 +73,40 @@ def test_a_pixel_before_which_something_passes_needs_more_positions_only_then():
     np.testing.assert_allclose(path.speeds.most[1], [0, 0, 0.5, 0])
 
 
+def seen_until(frame: int) -> Trajectory:
+    """A scene at rest of which one pixel, (1, 2), is hidden from `frame` on, a moment of the trajectory."""
+    visible = np.ones((FRAMES // SPACING + 1, HEIGHT, WIDTH), np.float32)
+    visible[frame // SPACING :, 1, 2] = 0
+    return Trajectory(jnp.float32(0), jnp.zeros((visible.shape[0], 2, HEIGHT, WIDTH)), jnp.asarray(visible))
+
+
+def test_intervals_are_not_merged_while_what_they_see_is_being_hidden():
+    """Saturated all the time: merged by fours, but for the four frames in which the pixel is hidden."""
+    _, stream = stream_around(
+        Recording.from_array(np.ones((FRAMES, HEIGHT, WIDTH), np.uint8)), key=32, frames=FRAMES, white_rate=1.0
+    )
+    # The scene moves a little, so that nothing else is merged.
+    path = seen_until(20)
+    moving = 0.1 * SPACING * jnp.arange(len(path.visible), dtype=jnp.float32)[:, None, None, None]
+    path = Trajectory(path.first, jnp.broadcast_to(moving, path.position.shape), path.visible)
+    samples = measured(stream, path, scale=2, measuring=Intervals(ends=0)).samples
+    there = (samples.row == 1) & (samples.column == 2)
+    assert sorted(samples.start[there]) == [*range(0, 16, 4), 16, 17, 18, 19, *range(20, 64, 4)]
+    elsewhere = (samples.row == 5) & (samples.column == 5)
+    assert sorted(samples.start[elsewhere]) == [*range(0, 64, 4)]
+
+
+def test_an_exposure_that_is_hidden_before_its_end_has_more_than_one_position():
+    """With one, in the middle, it would count in full."""
+    path = seen_until(20)
+    row, column = np.array([1, 1, 1, 5], np.int32), np.array([2, 2, 2, 5], np.int32)
+    start, stop = np.array([[2, 7], [10, 20], [30, 34], [10, 20]], np.float32).T
+    ones = np.ones(4, np.float32)
+    samples = Samples(row, column, start, stop, ones, ones)
+    order, positions = _longest_first(samples, path.speeds, path.unsteady, each=True)
+    assert order[0] == 1 and positions.tolist() == [2, 1, 1, 1]
+
+
 def test_samples_and_their_places_stay_together(spikes):
     """Sorted by what they need or not: the same samples, each at its own place."""
     taken = measurements(spikes, 0.25)
@@ -114,8 +148,8 @@ def test_few_exposures_that_are_a_little_long_do_not_put_all_through_corrections
     position = np.zeros((2, 2, 100, 200), np.float32)
     position[1, 1, 7, 40 : 40 + pixels] = SPACING * moved
     path = Trajectory(jnp.float32(0), jnp.asarray(position), jnp.ones((2, 100, 200)))
-    order, found = _longest_first(samples, path.speeds, each=True)
+    order, found = _longest_first(samples, path.speeds, path.unsteady, each=True)
     assert set(found.tolist()) == positions
-    assert set(_longest_first(samples, path.speeds, each=False)[1].tolist()) == {max(positions)}
+    assert set(_longest_first(samples, path.speeds, path.unsteady, each=False)[1].tolist()) == {max(positions)}
     if len(positions) > 1:
         assert (row[order[:pixels]] == 7).all() and (found[:pixels] > 1).all()

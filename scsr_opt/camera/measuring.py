@@ -23,7 +23,7 @@ class Measuring(eqx.Module):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
-        run: int | Int[np.ndarray, "h w"] = RUN,
+        run: int | Int[np.ndarray, "*blocks h w"] = RUN,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         """The samples of a recording.
@@ -59,7 +59,7 @@ class Intervals(Measuring):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
-        run: int | Int[np.ndarray, "h w"] = RUN,
+        run: int | Int[np.ndarray, "*blocks h w"] = RUN,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         return spike_intervals(
@@ -91,7 +91,7 @@ class Windows(Measuring):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
-        run: int | Int[np.ndarray, "h w"] = RUN,
+        run: int | Int[np.ndarray, "*blocks h w"] = RUN,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         return windows(spikes, length=self.length, white_rate=white_rate, bad_pixels=bad_pixels)

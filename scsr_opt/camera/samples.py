@@ -93,7 +93,7 @@ def spike_intervals(
     *,
     white_rate: float = 0.6,
     shortest: int | Int[np.ndarray, "h w"] = 1,
-    run: int | Int[np.ndarray, "h w"] = RUN,
+    run: int | Int[np.ndarray, "*blocks h w"] = RUN,
     first_frame: int = 0,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ends: float | int = ENDS,
@@ -109,8 +109,8 @@ def spike_intervals(
     - `spikes`: (T, h, w), 0 or 1.
     - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
     - `shortest`: frames, at least 1; one number or one per pixel. Pixels with T or more come after the others.
-    - `run`: frames, at least 1, over which intervals of one frame are merged, one number or one per pixel; 1 leaves
-      each a sample of its own.
+    - `run`: frames, at least 1, over which intervals of one frame are merged; 1 leaves each a sample of its own. One
+      number, one per pixel, or (n, h, w), one per pixel for every `RUN` frames, the last of them for all that follow.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
     - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
@@ -124,7 +124,9 @@ def spike_intervals(
     frames, height, width = spikes.shape
     good = np.ones(height * width, bool) if bad_pixels is None else ~bad_pixels.reshape(-1)
     fired = np.asarray(spikes).reshape(frames, -1)
-    merged, runs = (np.broadcast_to(np.asarray(of), (height, width)).reshape(-1) for of in (shortest, run))
+    merged = np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)
+    runs = np.asarray(run)
+    runs = np.broadcast_to(runs, (*runs.shape[:-2], height, width)).reshape(-1, height * width)
     # Of pixels that are still all the time, only the first and the last spike and their number count.
     still = merged >= frames
     others = np.flatnonzero(good & ~still).astype(np.int32)
@@ -169,7 +171,7 @@ def _between(
     fired: Shaped[np.ndarray, "T hw"],
     pixels: Int[np.ndarray, " pixels"],
     shortest: Int[np.ndarray, " hw"],
-    runs: Int[np.ndarray, " hw"],
+    runs: Int[np.ndarray, "blocks hw"],
 ) -> tuple[np.ndarray, ...]:
     """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
     frames = len(fired)
@@ -180,7 +182,9 @@ def _between(
     # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
     follows = (order[1:] - order[:-1] == 1) & (pixel[1:] == pixel[:-1])
     within = np.flatnonzero(follows[1:] & follows[:-1]) + 1
-    left_out = within[time[within] % runs[pixels[pixel[within]]] != 0]
+    at = time[within]
+    block = np.minimum(at // RUN, len(runs) - 1)
+    left_out = within[at % runs[block, pixels[pixel[within]]] != 0]
     order = np.arange(order.size, dtype=np.int32)
     if left_out.size:
         order = np.delete(order, left_out)

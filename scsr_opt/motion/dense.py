@@ -180,7 +180,7 @@ def _refine(
         a, b, d = information[0] + prior, information[1], information[2] + prior
         determinant = a * d - b * b
         update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / determinant[None]
-        length = jnp.sqrt((update**2).sum(0))
+        length = jnp.sqrt(update[0] ** 2 + update[1] ** 2)
         update = update * jnp.minimum(1, bound / lever / jnp.maximum(length, 1e-12))[None]
         field = field.at[which].add(update).at[_VELOCITY].add(-beside[None] * update)
         return field, jnp.stack([a, b, d])

@@ -193,7 +193,7 @@ def _missed(
 
     def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:
         picture, q = moment
-        inside = (q >= 0).all(0) & (q[0] <= height - 1) & (q[1] <= width - 1)
+        inside = (q[0] >= 0) & (q[1] >= 0) & (q[0] <= height - 1) & (q[1] <= width - 1)
         error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
         return jnp.minimum(error, _MISSED), inside.astype(present.dtype)
 
@@ -223,6 +223,7 @@ def _score(
     )
     pull = -smooth(now.change[:1] * now.slope, window) / noise[None] * samples
     a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
-    update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
+    down, right = (d * pull[0] - b * pull[1]) / (a * d - b * b), (a * pull[1] - b * pull[0]) / (a * d - b * b)
     poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
-    return (pull * update).sum(0), jnp.sqrt((update**2).sum(0)) * longest, poorest * (_DRIFT / longest) ** 2
+    gain = pull[0] * down + pull[1] * right
+    return gain, jnp.sqrt(down**2 + right**2) * longest, poorest * (_DRIFT / longest) ** 2

@@ -280,14 +280,23 @@ def _agreed(mismatch: Float[Array, "layers h w"]) -> Int[Array, "h w"]:
     def turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         label, done, _ = carry
         around = smooth((label[None] == numbers).astype(cost.dtype), jnp.asarray(_NEIGHBOURHOOD))
-        again = jnp.argmin(cost - _TOGETHER * around, axis=0)
+        again = _least(cost - _TOGETHER * around)
         return again, done + 1, jnp.any(again != label)
 
     def go_on(carry: tuple[Array, Array, Array]) -> Array:
         return (carry[1] < _TURNS) & carry[2]
 
-    begin = jnp.argmin(cost, axis=0), jnp.zeros((), jnp.int32), jnp.asarray(True)
+    begin = _least(cost), jnp.zeros((), jnp.int32), jnp.asarray(True)
     return jax.lax.while_loop(go_on, turn, begin)[0]
+
+
+def _least(cost: Float[Array, "layers h w"]) -> Int[Array, "h w"]:
+    """The number of the least, of equal ones the first; layer by layer, as `folded`."""
+    least, label = cost[0], jnp.zeros(cost.shape[1:], jnp.int32)
+    for k in range(1, len(cost)):
+        label = jnp.where(cost[k] < least, k, label)
+        least = jnp.minimum(least, cost[k])
+    return label
 
 
 def _joined(label: Int[np.ndarray, "h w"], mismatch: Float[np.ndarray, "layers h w"]) -> Int[np.ndarray, "h w"]:

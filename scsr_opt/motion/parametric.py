@@ -330,7 +330,8 @@ def _fit(
         trust = trust / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
         # What fires seldom changes seldom, as if it stood still, however slowly it moves.
         trust = trust / (1 + (_INTERVALS * points.interval / jnp.maximum(span, 1)) ** 4)
-        regressors = ((slopes / seen[None])[None] * points.fields).sum(1)
+        down, right = slopes / seen[None]
+        regressors = down[None] * points.fields[:, 0] + right[None] * points.fields[:, 1]
         weights = spread * trust[None, None]
         matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]
         pull = -jnp.concatenate([regressors * (change[q] * trust)[None] for q in (0, 1)])

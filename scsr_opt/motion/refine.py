@@ -243,5 +243,5 @@ def _update(
     known = (longest / _FAR) ** 2
     a, b, d = information[0, 0] + known, information[0, 1], information[1, 1] + known
     update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
-    length = jnp.sqrt((update**2).sum(0))
+    length = jnp.sqrt(update[0] ** 2 + update[1] ** 2)
     return update * jnp.minimum(1, _FAR / longest / jnp.maximum(length, 1e-12))[None]

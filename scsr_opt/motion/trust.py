@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 from scsr_opt.motion.alignment import Stretches, along, smooth
 from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest
 from scsr_opt.motion.inverse import interpolated
+from scsr_opt.motion.stacks import folded
 from scsr_opt.motion.trajectory import Motion, Trust
 
 # The pictures are compared after this presmoothing (sensor pixels): coarse enough that aliasing between pixels does not
@@ -75,7 +76,13 @@ def _share(
     near = jnp.exp(-0.5 * (moments / _PRESENT) ** 2)[:, None, None] * inside
     # The nearest moment always takes part, however far it is.
     near = near + 1e-6 * (jnp.abs(moments) == jnp.min(jnp.abs(moments))).astype(jnp.float32)[:, None, None]
-    present = (near * values).sum(0) / near.sum(0)
+    nothing = jnp.zeros_like(values[0])
+
+    def average(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+        return sums[0] + near[k] * values[k], sums[1] + near[k]
+
+    total, weight = jax.lax.fori_loop(0, values.shape[0], average, (nothing, nothing))
+    present = total / weight
 
     # The noise, from pictures a spike interval apart: a geometric mean, so that a few moments that disagree for another
     # reason do not matter.
@@ -84,7 +91,6 @@ def _share(
         change = (values[k + lag] - values[k]) ** 2 / 2
         return sums[0] + both * jnp.log(change + 1e-8), sums[1] + both
 
-    nothing = jnp.zeros_like(present)
     logarithms, compared = jax.lax.fori_loop(0, values.shape[0] - lag, compare, (nothing, nothing))
     noise = smooth(jnp.exp(logarithms / jnp.maximum(compared, 1)) / _GEOMETRIC, jnp.asarray(3.0)) + 1e-6
     # Presmoothing has averaged the noise of so many pixels, which each sample has in full.
@@ -98,5 +104,6 @@ def _share(
         return 1 / (1 + _COHERENCE * error / noise_of_one)
 
     share = jax.lax.map(worth, (values, inside))
-    steady = (velocity == 0).all(0) & (acceleration == 0).all(0) & (share.min(0) >= _STEADY)
-    return jnp.where(steady[None], share.mean(0)[None], share)
+    still = (velocity[0] == 0) & (velocity[1] == 0) & (acceleration[0] == 0) & (acceleration[1] == 0)
+    steady = still & (folded(jnp.minimum, share) >= _STEADY)
+    return jnp.where(steady[None], folded(jnp.add, share)[None] / len(share), share)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
-from scsr_opt.camera.samples import Samples, mean_light, spike_intervals, windows
+from scsr_opt.camera.samples import RUN, Samples, mean_light, spike_intervals, windows
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
 
@@ -27,8 +27,9 @@ def expected(
         times = [t for t in range(len(spikes)) if spikes[t, row, column]]
         length = int(shortest[row, column])
         # Inside a run of spikes in frame after frame only every fourth frame is kept.
-        every = 4 if run is None else int(run[row, column])
-        kept = [t for t in times if t % every == 0 or not {t - 1, t + 1} <= set(times)]
+        blocks = np.full((1, *spikes.shape[1:]), 4) if run is None else run.reshape(-1, *spikes.shape[1:])
+        every = [int(blocks[min(t // 4, len(blocks) - 1), row, column]) for t in range(len(spikes))]
+        kept = [t for t in times if t % every[t] == 0 or not {t - 1, t + 1} <= set(times)]
         ends = [t for i, t in enumerate(kept) if i == 0 or t // length != kept[i - 1] // length]
         if times and ends[-1] != times[-1]:
             ends.append(times[-1])
@@ -61,6 +62,14 @@ def test_runs_are_as_long_as_each_pixel_asks_for(spikes, data):
     run = data.draw(arrays(np.int32, spikes.shape[1:], elements=st.integers(1, 9)))
     found = spike_intervals(spikes, white_rate=RATE, run=run, ends=0)
     np.testing.assert_allclose(rows(found), expected(spikes, np.ones_like(run), 0, run), 1e-6)
+
+
+@given(spikes=recordings, data=st.data())
+def test_runs_may_differ_from_block_to_block_of_frames(spikes, data):
+    blocks = data.draw(st.integers(1, 11))
+    run = data.draw(arrays(np.int32, (blocks, *spikes.shape[1:]), elements=st.integers(1, RUN)))
+    found = spike_intervals(spikes, white_rate=RATE, run=run, ends=0)
+    np.testing.assert_allclose(rows(found), expected(spikes, np.ones(spikes.shape[1:], int), 0, run), 1e-6)
 
 
 @given(spikes=recordings)

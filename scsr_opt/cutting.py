@@ -107,11 +107,7 @@ def _longest_stretch(
 
 @jax.jit
 def _usable(path: Trajectory) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]]:
-    """How far what each pixel sees at the trajectory's moments can be used, which it cannot be out of the picture; and
-    of which pixels much more at one time than at another."""
-    height, width = path.position.shape[2:]
-    down, right = path.position[:, 0], path.position[:, 1]
-    # A tolerance, so that rounding does not take the border row of a scene at rest out of the picture.
-    inside = (down >= -1e-4) & (right >= -1e-4) & (down <= height - 1 + 1e-4) & (right <= width - 1 + 1e-4)
-    usable = jnp.where(inside, path.visible, 0)
+    """How far what each pixel sees at the trajectory's moments can be used, and of which pixels much more at one time
+    than at another."""
+    usable = path.usable
     return usable, folded(jnp.minimum, usable) < _SEEN * folded(jnp.maximum, usable)

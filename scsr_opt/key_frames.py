@@ -4,7 +4,7 @@ From one key frame to the next little changes: what moves goes on moving, what r
 of the last picture is carried on along its own trajectories; only which of its layers is seen where is looked at anew.
 It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
 then, and the gains are found, and both are carried on with it. The picture and the prior's dual variables are moved
-along, and the solve goes on from there.
+along, and the solve goes on from there; from playback where hardly anything was seen.
 """
 
 from collections.abc import Generator, Iterable
@@ -13,8 +13,11 @@ from contextlib import closing
 from dataclasses import replace
 from typing import Any, NamedTuple, SupportsIndex, TypeVar
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
@@ -28,6 +31,7 @@ from scsr_opt.motion.evidence import contradicted
 from scsr_opt.motion.layers import relabelled
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.trust import trusted
+from scsr_opt.operators.sampling import PlacedSamples
 from scsr_opt.placing import stream_around
 from scsr_opt.preparation import FRAMES, Prepared, prepare
 from scsr_opt.reconstruction import solve
@@ -44,6 +48,9 @@ _MORE, _SHARE = 4.2, 0.005
 # Going on from the picture before, a residual of so many tolerances leaves about as much of the objective (0.004 to
 # 0.008 %, and from scratch 0.001 to 0.004 %) as one tolerance does from scratch.
 _NEARER = 1.5
+# Where less than this share of the usual weight saw the scene, a picture begins at playback: what has come into view
+# was not in the one before, whose border would be there instead, and go slowly, as only the prior decides.
+_SEEN = 0.1
 # After the last of the items.
 _END: Any = object()
 Item = TypeVar("Item")
@@ -176,13 +183,29 @@ def _ahead(items: Generator[Item, None, None]) -> Generator[Item, None, None]:
 
 
 def _start(now: _Moment, prepared: Prepared, before: tuple[int, Solution] | None) -> Any:
-    """The state of the last solve, moved along to this picture; None where the motion is new."""
+    """The state of the last solve, moved along to this picture, with playback where hardly anything of it was seen;
+    None where the motion is new."""
     if before is None or now.carried is None:
         return None
     key, solution = before
     assert solution.motion is not None  # or there were nothing to carry on
     kept = prepared.rounds.solver.kept(solution.state)
-    return moved_along(solution.motion, now.key - key, prepared.asked.scale, kept)
+    moved = moved_along(solution.motion, now.key - key, prepared.asked.scale, kept)
+    if moved is kept:
+        return kept
+    there = prepared.rounds.solver.image(moved)
+    begun = _where_seen(prepared.taken.placed, there, prepared.image)
+    return jax.tree.map(lambda leaf: begun if leaf is there else leaf, moved)
+
+
+@eqx.filter_jit
+def _where_seen(
+    placed: PlacedSamples, picture: Float[Array, "H W"], elsewhere: Float[Array, "H W"]
+) -> Float[Array, "H W"]:
+    """`picture`, and where hardly any of the samples are, the picture `elsewhere`."""
+    seen, s = placed.seen(), placed.scale
+    hardly = seen < _SEEN * jnp.mean(seen)
+    return jnp.where(jnp.repeat(jnp.repeat(hardly, s, axis=1), s, axis=0), elsewhere, picture)
 
 
 def _carried(followed: _Followed, pictures: Stretches | None, key: int) -> Motion | None:

@@ -30,7 +30,7 @@ _MERGED_SHARE, _MERGED_LONG = 0.25, 16
 # How far the weight of what a pixel sees may change while intervals are merged as it rests.
 _MERGED_CHANGE = 0.25
 # And during a run of intervals of one frame that is merged, or an exposure with a single position: both have one weight
-# while something comes into view or is hidden.
+# while something comes into view or is hidden, and a run that leaves the picture is lost as a whole.
 _STEADY = 0.125
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
 # through an aperture of one, and of that they all miss about as much (`scsr_opt.operators.sampling`).
@@ -239,7 +239,7 @@ def _runs(path: Trajectory) -> Int[Array, "blocks h w"]:
     if path.position.shape[0] == 1:
         return jnp.full(path.visible.shape, RUN, jnp.int8)
     assert RUN == SPACING  # each run lies between two moments
-    moved, changed = (jnp.diff(of, axis=0) / SPACING for of in (path.position, path.visible))
+    moved, changed = (jnp.diff(of, axis=0) / SPACING for of in (path.position, path.usable))
     down, right = moved[:, 0], moved[:, 1]
     run = jnp.minimum(_FARTHEST / jnp.sqrt(down**2 + right**2), _STEADY / jnp.abs(changed))
     return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN).astype(jnp.int8)

@@ -80,15 +80,20 @@ def seen_until(frame: int) -> Trajectory:
     return Trajectory(jnp.float32(0), jnp.zeros((visible.shape[0], 2, HEIGHT, WIDTH)), jnp.asarray(visible))
 
 
-def test_intervals_are_not_merged_while_what_they_see_is_being_hidden():
-    """Saturated all the time: merged by fours, but for the four frames in which the pixel is hidden."""
+@pytest.mark.parametrize("how", ["hidden", "out of the picture"])
+def test_intervals_are_not_merged_while_what_they_see_is_lost(how):
+    """Saturated all the time: merged by fours, but for the four frames in which the pixel is hidden, or sees beyond."""
     _, stream = stream_around(
         Recording.from_array(np.ones((FRAMES, HEIGHT, WIDTH), np.uint8)), key=32, frames=FRAMES, white_rate=1.0
     )
     # The scene moves a little, so that nothing else is merged.
     path = seen_until(20)
     moving = 0.1 * SPACING * jnp.arange(len(path.visible), dtype=jnp.float32)[:, None, None, None]
-    path = Trajectory(path.first, jnp.broadcast_to(moving, path.position.shape), path.visible)
+    position = jnp.broadcast_to(moving, path.position.shape)
+    visible = path.visible
+    if how != "hidden":
+        position, visible = jnp.where(visible[:, None] == 0, -1.0, position), jnp.ones(visible.shape)
+    path = Trajectory(path.first, position, visible)
     samples = measured(stream, path, scale=2, measuring=Intervals(ends=0)).samples
     there = (samples.row == 1) & (samples.column == 2)
     assert sorted(samples.start[there]) == [*range(0, 16, 4), 16, 17, 18, 19, *range(20, 64, 4)]
@@ -105,6 +110,21 @@ def test_an_exposure_that_is_hidden_before_its_end_has_more_than_one_position():
     samples = Samples(row, column, start, stop, ones, ones)
     order, positions = _longest_first(samples, path.speeds, path.unsteady, each=True)
     assert order[0] == 1 and positions.tolist() == [2, 1, 1, 1]
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.25])
+def test_the_light_seen_is_that_of_the_samples(spikes, speed):
+    """At rest each pixel's own; in motion where the middle of the exposures is."""
+    taken = measurements(spikes, speed)
+    samples, weight = taken.samples, np.asarray(taken.placed.weight, float)[: taken.samples.row.size]
+    time = np.clip((samples.start + samples.stop) / 2, 0, FRAMES - 1) - 32
+    column = np.floor(samples.column - speed * time + 0.5 + 1e-3)
+    inside = (weight > 0) & (column >= 0) & (column < WIDTH)
+    expected = np.zeros((HEIGHT, WIDTH))
+    np.add.at(expected, (samples.row[inside], column[inside].astype(int)), weight[inside])
+    found = np.asarray(taken.placed.seen())
+    assert found.sum() == pytest.approx(weight.sum(), rel=1e-5)
+    assert np.abs(found - expected).sum() <= (1e-4 if speed == 0 else 0.02) * weight.sum()  # rounding of places
 
 
 def test_samples_and_their_places_stay_together(spikes):

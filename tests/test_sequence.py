@@ -2,6 +2,7 @@
 
 import threading
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from skimage import data
@@ -11,7 +12,9 @@ from scsr_opt import InputError, Recording, reconstruct, sequence
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.demo import psnr
+from scsr_opt.key_frames import _where_seen
 from scsr_opt.motion import Global
+from scsr_opt.preparation import prepare
 
 PICTURE = data.camera()[90:250, 150:310]
 SCALE = 2
@@ -58,6 +61,17 @@ def test_a_solve_goes_on_from_the_one_before(velocity):
     print(f"{last.stats['iterations']} iterations instead of {anew.stats['iterations']}")
     assert last.stats["iterations"] < anew.stats["iterations"]
     assert last.stats["objective"] == pytest.approx(anew.stats["objective"], rel=1e-3)
+
+
+def test_a_picture_begins_at_playback_where_nothing_was_seen():
+    """Half of the sensor is bad."""
+    made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
+    bad = np.zeros(made.spikes.shape[1:], bool)
+    bad[:, 40:] = True
+    prepared = prepare(made.spikes, scale=SCALE, key=50, velocity=(0.0, 0.0), strength=0.01, bad_pixels=bad, skip=False)
+    begun = _where_seen(prepared.taken.placed, jnp.zeros((160, 160)), jnp.ones((160, 160)))
+    np.testing.assert_array_equal(begun[:, :80], 0)
+    np.testing.assert_array_equal(begun[:, 80:], 1)
 
 
 def test_an_object_takes_its_layer_along():

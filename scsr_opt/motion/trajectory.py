@@ -213,6 +213,15 @@ class Trajectory(eqx.Module):
         )
 
     @property
+    def usable(self) -> Float[Array, "n h w"]:
+        """`visible`, and 0 where what a pixel sees lies out of the picture."""
+        height, width = self.position.shape[2:]
+        down, right = self.position[:, 0], self.position[:, 1]
+        # A tolerance, so that rounding does not take the border row of a scene at rest out of the picture.
+        inside = (down >= -1e-4) & (right >= -1e-4) & (down <= height - 1 + 1e-4) & (right <= width - 1 + 1e-4)
+        return jnp.where(inside, self.visible, 0)
+
+    @property
     def speeds(self) -> "Changes":
         """How fast the key-frame position of what each pixel sees changes, sensor pixels per frame. Large where one
         surface passes in front of another, as the position then jumps from the one to the other."""

@@ -110,6 +110,17 @@ class PlacedSamples(eqx.Module):
         return PlacedSamples(taps, positions, value, weight, self.scale, self.shape, self.on_sensor)
 
     @eqx.filter_jit
+    def seen(self) -> Float[Array, "h w"]:
+        """The weight of the samples that see each sensor pixel of the key frame in the middle of their exposure."""
+        grid = 1 if self.on_sensor else self.scale
+        height, width = (side // grid for side in self.shape)
+        row, column = jnp.divmod(self.taps.index[0], self.shape[1])
+        # An aperture begins at its place and reaches over so many of the grid's: what is asked for is its centre.
+        row, column = (row + grid // 2) // grid, (column + grid // 2) // grid
+        nothing = jnp.zeros(height * width, self.weight.dtype)
+        return nothing.at[row * width + column].add(self.weight).reshape(height, width)
+
+    @eqx.filter_jit
     def read(self, u: Float[Array, "H W"]) -> Float[Array, " n"]:
         """r_j · u for every sample."""
 

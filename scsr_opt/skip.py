@@ -7,8 +7,8 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
   what moves apart begin with a quarter of their points.
 - **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
   pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording; so are runs
-  of intervals of one frame, as far as the positions along an exposure lie close enough. What is hidden or has left the
-  picture gives none. An exposure has as many positions as what it sees moves.
+  of intervals of one frame, as far as the positions along an exposure lie close enough and nothing is being hidden.
+  What is hidden or has left the picture gives none. An exposure has as many positions as what it sees moves.
 - **The grid.** Where nothing moves at all, samples lie on the sensor's grid, and the blurred picture is not computed in
   between.
 - **The iteration.** There, seen through a perfect lens, a sensor pixel says something of its own block of the picture

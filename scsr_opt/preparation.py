@@ -287,6 +287,7 @@ def prepare(
         robust=robust,
         progress=progress,
         keep_images=keep_images,
+        skip=skip,
     )
     path, found = asked.followed(motion), None
     with ThreadPoolExecutor(2) as beside:

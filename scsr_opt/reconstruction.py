@@ -181,10 +181,21 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
         "saturated": share_saturated(spike_counts(stream.spikes), len(stream.spikes), stream.bad_pixels),
         **learned,
         **_planned(prepared),
+        **({} if outcome.active is None else {"active": outcome.active.numbers}),
         "seconds": clock.laps,
     }
     stages = tuple(replace(stage, number=n) for n, stage in enumerate(stages, 1))
-    return Solution(outcome.image, stages, outcome.result, stats, motion, outcome.state, prepared.plan, prepared.gains)
+    return Solution(
+        image=outcome.image,
+        stages=stages,
+        result=outcome.result,
+        stats=stats,
+        motion=motion,
+        state=outcome.state,
+        plan=prepared.plan,
+        gain=prepared.gains,
+        active=outcome.active,
+    )
 
 
 def _some(pixels: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -23,6 +23,7 @@ from scsr_opt.operators.robust import Loss, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, accumulate, with_exposure
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
+from scsr_opt.solvers.active_set import TILE, by_tile, divides, run_active
 from scsr_opt.solvers.iterate import Outcome, Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.solution import Stage
@@ -31,6 +32,9 @@ from scsr_opt.solvers.stopping import relative
 # A picture is where the quadratic touches the data term if it is less than so many tolerances away: with a step size
 # for each pixel pictures are as good as at 10 with one for all, a correction earlier (docs/measurements.md).
 _NEAR = 30.0
+# And in each tile if it is less than so many: what is far in one place alone is lost in a whole picture
+# (docs/measurements.md).
+_NEAR_IN_TILE = 80.0
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
 # there. With all of the change pictures as good took half as much again, or did not come to an end
 # (docs/measurements.md).
@@ -53,7 +57,8 @@ class Rounds:
     """minimise over X of ½ Σ_j ω_j ρ(r_j·B X − Y_j) + λ Ψ(X), r_j along the exposure, by `solver`.
 
     **Fields:** `solver`; `prior` Ψ; `strength` λ; `optics`, the lens in B; `robust` ρ, the square if None; `progress`,
-    `keep_images` as of `run`.
+    `keep_images` as of `run`; `skip`: whether tiles that are finished are left alone, where that can be (`run_active`)
+    and not every iteration is to be seen.
     """
 
     solver: Solver
@@ -63,6 +68,7 @@ class Rounds:
     robust: Loss | None
     progress: Progress | None
     keep_images: bool
+    skip: bool = False
 
     def __call__(
         self,
@@ -108,18 +114,12 @@ class Rounds:
         tolerance = tolerances * self.solver.tolerance
         problem, exposures = Problem(term, self.prior, self.strength), None
         if placed.finest > 1:
-            exposures = _Exposures(problem, placed, robust, _NEAR * tolerance)
+            exposures = _Exposures(problem, placed, robust)
             problem = problem if near is None else exposures.touching(near)
-        return run(
-            self.solver,
-            problem,
-            image,
-            similar=state,
-            correction=exposures,
-            progress=self.progress,
-            keep_images=self.keep_images,
-            tolerance=tolerance,
-        )
+        given: dict[str, Any] = {"similar": state, "correction": exposures, "progress": self.progress}
+        if not self.keep_images and divides(self.solver, problem):
+            return run_active(self.solver, problem, image, **given, tolerance=tolerance, skip=self.skip)
+        return run(self.solver, problem, image, **given, keep_images=self.keep_images, tolerance=tolerance)
 
     def _reweighted(
         self,
@@ -158,17 +158,19 @@ class Rounds:
 
 
 class _Exposures:
-    """Corrections of c for the motion during exposures: wherever a picture is not `near`, as a share of its norm, where
-    the quadratic of the `problem` touches the true data term, another quadratic is made to."""
+    """Corrections of c for the motion during exposures: wherever a picture is not near, by the tolerance, to where the
+    quadratic of the `problem` touches the true data term, another quadratic is made to."""
 
-    def __init__(self, problem: Problem, placed: PlacedSamples, robust: Float[Array, " n"] | None, near: float):
-        self._problem, self._placed, self._robust, self._near = problem, placed, robust, near
+    def __init__(self, problem: Problem, placed: PlacedSamples, robust: Float[Array, " n"] | None):
+        self._problem, self._placed, self._robust = problem, placed, robust
         self._touched: Float[Array, "H W"] | None = None
         self._last: Float[Array, "H W"] | None = None
 
-    def __call__(self, image: Float[Array, "H W"]) -> Problem | None:
-        if self._touched is not None and float(_away(image, self._touched)) <= self._near:
-            return None
+    def __call__(self, image: Float[Array, "H W"], tolerance: float) -> Problem | None:
+        if self._touched is not None:
+            near = float(_away(image, self._touched)) <= _NEAR * tolerance
+            if near and float(_farthest(image, self._touched, self._placed.scale)) <= _NEAR_IN_TILE * tolerance:
+                return None
         ahead = image if self._last is None else image + _AHEAD * (image - self._last)
         self._last = image
         return self.touching(ahead)
@@ -186,6 +188,12 @@ class _Exposures:
 def _away(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> Float[Array, ""]:
     """‖image − other‖ / ‖image‖."""
     return relative(jnp.linalg.norm(image - other), image)
+
+
+@eqx.filter_jit
+def _farthest(image: Float[Array, "H W"], other: Float[Array, "H W"], scale: int) -> Float[Array, ""]:
+    """The same of the tile that is farthest away."""
+    return jnp.max(by_tile(image - other, image, TILE * scale))
 
 
 def _layout(state: Any) -> tuple[Any, list[Any]]:

@@ -124,13 +124,15 @@ def _explained(solution: Any) -> list[str]:
     if solution.plan is None:
         return ["Nothing was skipped."]
     parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.stats["seconds"].items())
-    # Of the whole picture, no part of which is left out of an iteration; of the measurements as they were merged.
+    # Of the whole picture; of the measurements as they were merged.
     left = [
         f"One more iteration with these measurements would change the picture by {100 * stage.residual:.1g} % at most."
         for stage in solution.stages[-1:]
     ]
     if solution.stats.get("solver") == "DataProximal":
         left.insert(0, "Solver: data-proximal; no pixel's block overlaps another's, so steps along the data are exact.")
+    if solution.active is not None:
+        left.extend(solution.active.lines())
     return [*solution.plan.lines(), *left, f"Time: {parts}."]
 
 

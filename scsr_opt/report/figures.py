@@ -16,6 +16,8 @@ import matplotlib
 import numpy as np
 from jaxtyping import Float, Num
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -158,51 +160,67 @@ _OF_KIND = {
 
 
 # Inches.
-_TALLEST = 12.0
+_WIDEST, _TALLEST, _SCALE = 7.0, 12.0, 0.9
 
 
 def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> Figure:
-    """What each tile of the scene asked for, in colour over the picture, and the reasons in words.
+    """What each tile of the scene asked for, in colour over the picture, and the reasons in words; beside it, where
+    tiles were left alone, how many iterations each of them took.
 
     **Arguments:** `solution`: one with a `plan`; `scale`, that of its picture; `title`: over everything.
 
     **Raises:** `InputError` if nothing was skipped.
     """
-    plan = solution.plan
+    plan, active = solution.plan, solution.active
     if plan is None:
         raise InputError("This solution has no plan, as nothing was skipped: solve with skip=True for one.")
     height, width = solution.image.shape
     # A tall picture is shown smaller, and the words below it are not.
-    wide = 7.0
-    across = min(wide, _TALLEST * width / height)
+    across = min(_WIDEST, _TALLEST * width / height)
     tall = across * height / width
-    lines = plan.lines()
+    page = 2 * _MARGIN + (_WIDEST if active is None else max(_WIDEST, 2 * across + _GUTTER + _SCALE))
+    lines = plan.lines() + ([] if active is None else active.lines())
     shown = [kind for kind in Kind if plan.share(kind) > 0]
-    top = _MARGIN + (_TITLE if title else 0)
+    top = _MARGIN + (_TITLE if title or active is not None else 0)
     with matplotlib.rc_context(_STYLE):
-        drawn = Figure(figsize=(wide + 2 * _MARGIN, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
+        drawn = Figure(figsize=(page, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
         axes = _axes(drawn, _MARGIN, top, across, tall)
-        _picture(axes, solution.image, _white_level([solution.image]))
-        step = plan.tile * scale
+        colours = np.zeros((*plan.kind.shape, 4))
         for kind in shown:
-            for row, column in np.argwhere(plan.kind == kind):
-                colour = _OF_KIND[kind]
-                if colour is not None:
-                    place = (column * step - 0.5, row * step - 0.5)
-                    axes.add_patch(Rectangle(place, step, step, facecolor=colour, alpha=0.35, linewidth=0))
-        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
-        if title:
-            axes.set_title(title, loc="left", fontsize=10)
-        below = _axes(drawn, _MARGIN, top + tall, wide, 0.2 * (len(lines) + 1))
+            if (colour := _OF_KIND[kind]) is not None:
+                colours[plan.kind == kind] = to_rgba(colour, 0.35)
+        _tiled(axes, solution.image, colours, plan.tile * scale)
+        axes.set_title(title or "What each tile asks for", loc="left", fontsize=10)
+        if active is not None:
+            beside = _axes(drawn, _MARGIN + across + _GUTTER, top, across, tall)
+            iterations = active.whole + active.alone
+            range_ = Normalize(active.whole, max(int(iterations.max()), active.whole + 1))
+            shades = matplotlib.colormaps["viridis"](range_(iterations), alpha=0.5 * (active.alone > 0))
+            _tiled(beside, solution.image, shades, active.tile)
+            beside.set_title(f"Iterations: {active.whole}, and more where coloured", loc="left", fontsize=10)
+            bar = _axes(drawn, _MARGIN + 2 * (across + _GUTTER), top, 0.15, tall)
+            drawn.colorbar(ScalarMappable(range_, "viridis"), cax=bar, alpha=0.75)
+        below = _axes(drawn, _MARGIN, top + tall, page - 2 * _MARGIN, 0.2 * (len(lines) + 1))
         below.set_axis_off()
         for number, line in enumerate(lines):
             y = 1 - (number + 0.8) / (len(lines) + 1)
             kind = next((kind for kind in shown if line.endswith(f"{plan.reason(kind)}.")), None)
+            inches = page - 2 * _MARGIN
             if kind is not None and _OF_KIND[kind] is not None:
-                below.plot(0.008, y, "s", color=_OF_KIND[kind], alpha=0.6, markersize=7)
-            below.text(0.025, y, line, va="center", fontsize=8)
+                below.plot(0.056 / inches, y, "s", color=_OF_KIND[kind], alpha=0.6, markersize=7)
+            below.text(0.175 / inches, y, line, va="center", fontsize=8)
         below.set(xlim=(0, 1), ylim=(0, 1))
     return drawn
+
+
+def _tiled(axes: Axes, image: Num[Any, "H W"], colours: Float[np.ndarray, "rows columns 4"], side: int) -> None:
+    """A picture with each of its tiles of side × side pixels in a colour."""
+    height, width = image.shape
+    _picture(axes, image, _white_level([image]))
+    rows, columns, _ = colours.shape
+    extent = (-0.5, columns * side - 0.5, rows * side - 0.5, -0.5)
+    axes.imshow(colours, extent=extent, interpolation="nearest", aspect="auto")
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
 
 
 def detailed_part(

@@ -8,6 +8,7 @@ solves the linear systems of `ADMM` by one.
 `solution` is the minimiser as a function that can be differentiated.
 """
 
+from scsr_opt.solvers.active_set import divides, run_active
 from scsr_opt.solvers.admm import ADMM, JaxoptADMM
 from scsr_opt.solvers.data_proximal import DataProximal
 from scsr_opt.solvers.default import default_solver
@@ -19,7 +20,7 @@ from scsr_opt.solvers.problem import Problem, lipschitz_bound, with_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.sensitivity import solution
 from scsr_opt.solvers.smooth import LBFGS, NonlinearCG
-from scsr_opt.solvers.solution import Result, Solution, Stage
+from scsr_opt.solvers.solution import Active, Result, Solution, Stage
 from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, Separable, SpectralNorm, StepSize
 from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
 
@@ -28,6 +29,7 @@ __all__ = [
     "FISTA",
     "ISTA",
     "LBFGS",
+    "Active",
     "Backtracking",
     "Balance",
     "ChambollePock",
@@ -56,7 +58,9 @@ __all__ = [
     "StepSize",
     "Stopping",
     "default_solver",
+    "divides",
     "lipschitz_bound",
+    "run_active",
     "with_bound",
     "run",
     "solution",

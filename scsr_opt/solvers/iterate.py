@@ -18,7 +18,7 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.linear_solve import LinearSolve
 from scsr_opt.solvers.problem import Problem, with_bound
-from scsr_opt.solvers.solution import Result, Stage
+from scsr_opt.solvers.solution import Active, Result, Stage
 from scsr_opt.solvers.step_size import Balance, StepSize
 from scsr_opt.solvers.stopping import Stopping
 
@@ -110,13 +110,18 @@ class Solver(eqx.Module, Generic[State]):
         """R^(t) of Eq. 5: the picture whose proximal step X^(t) is, or tends to be where the two are found together."""
 
 
+# Of a picture and a tolerance: a problem with other c and e, or None where the one so far is good enough for both.
+Correction = Callable[[Float[Array, "H W"], float], Problem | None]
+
+
 class Outcome(NamedTuple):
-    """What a solve gives back."""
+    """What a solve gives back; `active`, where tiles were left alone (`scsr_opt.solvers.run_active`)."""
 
     image: Float[np.ndarray, "H W"]
     stages: tuple[Stage, ...]
     result: Result
     state: Any
+    active: Active | None = None
 
 
 def run(
@@ -126,7 +131,7 @@ def run(
     *,
     state: Any = None,
     similar: Any = None,
-    correction: Callable[[Float[Array, "H W"]], Problem | None] | None = None,
+    correction: Correction | None = None,
     progress: Progress | None = None,
     keep_images: bool = False,
     tolerance: float | int | None = None,
@@ -137,7 +142,7 @@ def run(
     - `state`: `Outcome.state` (`Solution.state`) of a run of the same solver on the same problem: what follows is what
       would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
     - `correction`: makes another problem of the picture after every `CORRECTED_AFTER` iterations, and where the
-      tolerance is met: one with other c and e, or None where the last is still good, and only then the run ends there.
+      tolerance is met; only where it makes none the run ends there.
     - `progress`: told of the iterations, by chunks.
     - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
     - `tolerance`: stands in for the solver's own.
@@ -186,18 +191,15 @@ def run(
                     "image": np.asarray(solver.image(state)),
                     "gradient_step": np.asarray(solver.gradient_step(problem, state)),
                 }
-            for row in table[:done].tolist():
-                data, prior, residual, gap, step_size = row
-                stages.append(
-                    Stage(len(stages) + 1, data + prior, data, prior, residual, step_size, seconds, **pictures, gap=gap)
-                )
+            for record in table[:done]:
+                stages.append(Stage.of(len(stages) + 1, record, seconds, **pictures))
             if progress is not None:
                 progress.advance(int(done))
             if not finite:
                 result = Result.non_finite
                 break
             if correction is not None and (met or len(stages) % between == 0):
-                following = correction(solver.image(state))
+                following = correction(solver.image(state), float(enough))
                 if following is not None:
                     state = _retargeted(solver, following, problem, state)
                     problem, met = following, False

@@ -104,13 +104,14 @@ class _PriorProximal(ProximalGradient):
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         step = self._step(problem, state)
         image, β = step.image, step.step_size
-        shortest = jnp.min(β)
+        # A pixel whose step is 0 is held where it is (`scsr_opt.solvers.tiles`).
+        shortest = β if β.ndim == 0 else jnp.min(β, where=β > 0, initial=jnp.inf)
         # The same slope counts as much wherever it is, as if all steps were as long as the shortest. Differences are
         # seen through a barrier: with those that follow made one, XLA would write them to memory for both.
         new, old, start = jax.lax.optimization_barrier((image, state.image, state.ahead))
-        moved = new - start if β.ndim == 0 else (new - start) * (shortest / β)
+        moved = new - start if β.ndim == 0 else (new - start) * jnp.where(β > 0, shortest / β, 0)
         residual = relative(jnp.linalg.norm(moved), image)
-        uphill = jnp.sum((start - new) / β * (new - old)) > 0
+        uphill = jnp.sum(moved * (new - old)) < 0
         penalty, evidence = _evidence(problem, step, residual)
         momentum, along, beyond = self._extrapolation(state.momentum, uphill | (evidence.objective > state.objective))
         # f is quadratic, so its gradient at the point ahead follows from two known ones; the application of M that this

@@ -1,11 +1,12 @@
 """What every solver and every unrolled network returns: `Solution`, with one `Stage` per iteration."""
 
 import enum
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.skip import Plan
@@ -65,6 +66,53 @@ class Stage:
     image: Float[np.ndarray, "H W"] | None = None
     gap: float = float("nan")
 
+    @classmethod
+    def of(cls, number: int, record: Iterable[SupportsFloat], seconds: float, **pictures: Any) -> "Stage":
+        """Of the numbers of a `scsr_opt.solvers.Record`."""
+        data, prior, residual, gap, step_size = map(float, record)
+        return cls(number, data + prior, data, prior, residual, step_size, seconds, **pictures, gap=gap)
+
+
+@dataclass(frozen=True)
+class Active:
+    """What an active set did (`scsr_opt.solvers.run_active`).
+
+    **Fields:** `whole`: iterations of the whole picture; `alone` (rows, columns): of each tile alone, after those;
+    `tile`: its side, pixels of the picture; `worst`: the most that one more iteration changes a tile, root mean square
+    as a share of the picture's, NaN where the solve ended before that was asked; `limit`: what that may be.
+    """
+
+    whole: int
+    alone: Int[np.ndarray, "rows columns"]
+    tile: int
+    worst: float
+    limit: float
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """For a report: how many tiles, how many were gone on with, and for how long at most; `worst` and `limit`."""
+        return {
+            "tiles": self.alone.size,
+            "gone_on_with": int(np.count_nonzero(self.alone)),
+            "most_iterations": self.whole + int(self.alone.max()),
+            "worst": self.worst if np.isfinite(self.worst) else None,
+            "limit": self.limit,
+        }
+
+    def lines(self) -> list[str]:
+        """What was left alone and how far that was safe, for people."""
+        gone_on, of = np.count_nonzero(self.alone), self.alone.size
+        text = [f"Iterations: {self.whole} of the whole picture"]
+        if gone_on:
+            longest = int(self.alone.max())
+            text[0] += f"; {gone_on} of its {of} tiles were gone on with, up to {longest} more, the others left alone"
+        if np.isfinite(self.worst):
+            text.append(
+                f"One more would change no tile by more than {100 * self.worst:.1g} % of the picture's level "
+                f"(asked: {100 * self.limit:.1g} %)"
+            )
+        return [f"{line}." for line in text]
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -79,6 +127,7 @@ class Solution:
     - `state`: what is needed to go on from here (warm start).
     - `plan`: what each part of the scene asked for (`scsr_opt.skip.Plan`); None where nothing was skipped.
     - `gain`: (h, w), of each sensor pixel, as handed in or found (`scsr_opt.reconstruct`); None where it is 1.
+    - `active`: how long each tile was iterated for; None where all were for as long.
     """
 
     image: Float[np.ndarray, "H W"]
@@ -89,6 +138,7 @@ class Solution:
     state: Any = None
     plan: Plan | None = None
     gain: Float[np.ndarray, "h w"] | None = None
+    active: Active | None = None
 
     @property
     def velocity(self) -> Float[np.ndarray, "2 h w"] | None:

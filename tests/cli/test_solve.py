@@ -13,7 +13,7 @@ from scsr_opt.camera import tfp
 from scsr_opt.errors import InputError
 from scsr_opt.report import bicubic, read_picture
 from scsr_opt.skip import Plan
-from scsr_opt.solvers import Result, Solution, Stage
+from scsr_opt.solvers import Active, Result, Solution, Stage
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 
@@ -56,6 +56,24 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     assert "One more iteration with these measurements would change the picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
         assert figure.width > figure.height
+
+
+def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
+    plan = Plan(np.array([[2, 2]]), np.array([[1, 1]]), np.ones((1, 2), np.float32), "2 layers", 500, 500)
+    active = Active(7, np.array([[0, 12]]), 64, 8e-4, 1e-3)
+    stages = (Stage(1, 1.0, 0.5, 0.5, 5e-5, 1.0),)
+    image, stats = np.zeros((48, 80), np.float32), {"seconds": {"motion": 0.5}, "active": active.numbers}
+    solution = Solution(image, stages, Result.converged, stats, plan=plan, active=active)
+    monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
+    given = ("--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png", "--report", "a.json")
+    said = scsr("solve", file, *given)
+    assert "Iterations: 7 of the whole picture; 1 of its 2 tiles were gone on with, up to 12 more" in said
+    assert "One more would change no tile by more than 0.08 % of the picture's level (asked: 0.1 %)." in said
+    told = json.loads(Path("a.json").read_text())["stats"]["active"]
+    assert told == {"tiles": 2, "gone_on_with": 1, "most_iterations": 19, "worst": 8e-4, "limit": 1e-3}
+    with Image.open("plan.png") as figure:
+        coloured = np.ptp(np.asarray(figure.convert("RGB"), int), axis=-1) > 30
+        assert coloured[:, figure.width // 2 :].sum() > 1000  # the tile that was gone on with, and the scale
 
 
 def test_all_is_done_when_asked(scsr, file, asked):

@@ -34,7 +34,7 @@ from scsr_opt.solvers.stopping import relative
 _NEAR = 30.0
 # And in each tile if it is less than so many: what is far in one place alone is lost in a whole picture
 # (docs/measurements.md).
-_NEAR_IN_TILE = 80.0
+_NEAR_IN_TILE = 120.0
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
 # there. With all of the change pictures as good took half as much again, or did not come to an end
 # (docs/measurements.md).

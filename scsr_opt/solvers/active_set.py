@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy.ndimage import maximum_filter
 
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
@@ -37,7 +38,7 @@ from scsr_opt.solvers.stopping import FixedPoint
 TILE = 32
 # The whole picture is iterated until its residual is so many tolerances; a tile is gone on with where its own is more
 # than so many, until it is so much of that (docs/measurements.md).
-_WHOLE, _LIMIT, _WITHIN = 4.0, 10.0, 0.4
+_WHOLE, _LIMIT, _WITHIN = 4.0, 10.0, 0.6
 # Windows that are solved for side by side; iterations of a tile at a time, and times that tiles are gone on with, at
 # most. What then is left is left to iterations of the whole picture.
 _BATCH, _MOST, _VISITS = 4, 40, 12
@@ -101,7 +102,10 @@ def run_active(
     finite, visits, stale = state, 0, False
     while result is Result.converged:
         gradient, slopes = _slopes(current, state.image, state.prior, state.step_size)
-        active = np.asarray(slopes) > limit
+        slopes = np.asarray(slopes)
+        active = slopes > limit
+        # Neighbours that they would soon wake go on with them.
+        active |= (maximum_filter(active, 3) > 0) & (slopes > _WITHIN * limit)
         if active.any() and left() < 2:
             result = Result.iterations_exhausted
             break

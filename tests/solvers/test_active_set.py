@@ -95,10 +95,11 @@ def test_it_ends_at_the_minimum_with_no_tile_far_from_it(make, skip, problem, st
     active = found.active
     assert active is not None and active.worst <= active.limit
     assert active.alone.any() == skip
-    # At a relative residual of 1e-4 the plain loop is about as far above.
+    # At a relative residual of 1e-4 the plain loop is about as far above; five times as much is still safe.
     least = objective(problem, best.image)
     plain = run(make(iterations=400), problem, start)
-    assert objective(problem, found.image) / least - 1 < max(objective(problem, plain.image) / least - 1, 1e-4)
+    above = [objective(problem, outcome.image) / least - 1 for outcome in (found, plain)]
+    assert above[0] < max(1.5 * above[1], 1e-4) < 5e-4
 
 
 def test_tiles_are_iterated_as_a_whole_picture_whose_other_pixels_are_held(problem, rough):

@@ -8,13 +8,15 @@ A quadratic is put on or above the true data term that touches it near the pictu
 - A robust loss (`robust_factors`). M changes too, and each round is a solve of its own.
 """
 
+import functools
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
@@ -34,7 +36,7 @@ from scsr_opt.solvers.stopping import relative
 _NEAR = 30.0
 # And in each tile if it is less than so many: what is far in one place alone is lost in a whole picture
 # (docs/measurements.md).
-_NEAR_IN_TILE = 120.0
+_NEAR_IN_TILE = 40.0
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
 # there. With all of the change pictures as good took half as much again, or did not come to an end
 # (docs/measurements.md).
@@ -113,11 +115,12 @@ class Rounds:
         """Solves, with corrections for exposures; `robust`: factors on the weights, which are in `term` already."""
         tolerance = tolerances * self.solver.tolerance
         problem, exposures = Problem(term, self.prior, self.strength), None
+        by_tiles = not self.keep_images and divides(self.solver, problem)
         if placed.finest > 1:
-            exposures = _Exposures(problem, placed, robust)
+            exposures = _Exposures(problem, placed, robust, tiles=by_tiles, skip=self.skip)
             problem = problem if near is None else exposures.touching(near)
         given: dict[str, Any] = {"similar": state, "correction": exposures, "progress": self.progress}
-        if not self.keep_images and divides(self.solver, problem):
+        if by_tiles:
             return run_active(self.solver, problem, image, **given, tolerance=tolerance, skip=self.skip)
         return run(self.solver, problem, image, **given, keep_images=self.keep_images, tolerance=tolerance)
 
@@ -159,29 +162,58 @@ class Rounds:
 
 class _Exposures:
     """Corrections of c for the motion during exposures: wherever a picture is not near, by the tolerance, to where the
-    quadratic of the `problem` touches the true data term, another quadratic is made to."""
+    quadratic of the `problem` touches the true data term, another quadratic is made to. Of `tiles` each is asked, and
+    if work is to be skipped, it is done in those that are far alone."""
 
-    def __init__(self, problem: Problem, placed: PlacedSamples, robust: Float[Array, " n"] | None):
-        self._problem, self._placed, self._robust = problem, placed, robust
+    def __init__(
+        self, problem: Problem, placed: PlacedSamples, robust: Float[Array, " n"] | None, *, tiles: bool, skip: bool
+    ):
+        self._problem, self._placed, self._robust, self._tiles, self._skip = problem, placed, robust, tiles, skip
+        self._corrected = problem
         self._touched: Float[Array, "H W"] | None = None
         self._last: Float[Array, "H W"] | None = None
 
     def __call__(self, image: Float[Array, "H W"], tolerance: float) -> Problem | None:
-        if self._touched is not None:
-            near = float(_away(image, self._touched)) <= _NEAR * tolerance
-            if near and float(_farthest(image, self._touched, self._placed.scale)) <= _NEAR_IN_TILE * tolerance:
+        far = None
+        if self._touched is not None and float(_away(image, self._touched)) <= _NEAR * tolerance:
+            if not self._tiles:
                 return None
+            away = np.asarray(_away_in_tiles(image, self._touched, TILE * self._placed.scale))
+            if away.max() <= _NEAR_IN_TILE * tolerance:
+                return None
+            # With what would be next.
+            far = away > _NEAR_IN_TILE / 2 * tolerance
         ahead = image if self._last is None else image + _AHEAD * (image - self._last)
         self._last = image
-        return self.touching(ahead)
+        return self.touching(ahead) if far is None or not self._skip else self._touching_in(far, ahead)
 
     def touching(self, image: Float[Array, "H W"]) -> Problem:
         """The problem with the quadratic that touches the true data term at `image`."""
-        self._touched = image
         if self._last is None:
             self._last = image
-        term = with_exposure(self._problem.data, self._placed, image, robust=self._robust)
-        return eqx.tree_at(lambda problem: problem.data, self._problem, term)
+        return self._following(image, with_exposure(self._problem.data, self._placed, image, robust=self._robust))
+
+    def _touching_in(self, tiles: Bool[np.ndarray, "rows columns"], image: Float[Array, "H W"]) -> Problem:
+        """The same at `image` in these tiles, and elsewhere where it did."""
+        assert self._touched is not None
+        side = TILE * self._placed.scale
+        image = _only_in(tiles, image, self._touched, side)
+        # What is read from there: the blur reaches s − 1 rows on, and a place is read from two rows.
+        first, last = self._rows
+        row = np.arange(len(tiles))[tiles.any(1), None] * side
+        seen = ((first < row + side) & (last > row - self._placed.scale - 1)).any(0)
+        since = self._corrected.data, self._touched, seen
+        data = with_exposure(self._problem.data, self._placed, image, robust=self._robust, since=since)
+        return self._following(image, data)
+
+    def _following(self, image: Float[Array, "H W"], data: DataTerm) -> Problem:
+        self._touched = image
+        self._corrected = eqx.tree_at(lambda problem: problem.data, self._problem, data)
+        return self._corrected
+
+    @functools.cached_property
+    def _rows(self) -> Int[np.ndarray, "2 pieces"]:
+        return np.asarray(self._placed.rows())
 
 
 @jax.jit
@@ -191,9 +223,19 @@ def _away(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> Float[Array
 
 
 @eqx.filter_jit
-def _farthest(image: Float[Array, "H W"], other: Float[Array, "H W"], scale: int) -> Float[Array, ""]:
-    """The same of the tile that is farthest away."""
-    return jnp.max(by_tile(image - other, image, TILE * scale))
+def _away_in_tiles(image: Float[Array, "H W"], other: Float[Array, "H W"], side: int) -> Float[Array, "rows columns"]:
+    """The same of each tile."""
+    return by_tile(image - other, image, side)
+
+
+@eqx.filter_jit
+def _only_in(
+    tiles: Bool[Array | np.ndarray, "rows columns"], image: Float[Array, "H W"], other: Float[Array, "H W"], side: int
+) -> Float[Array, "H W"]:
+    """`image` in these tiles, and `other` elsewhere."""
+    height, width = image.shape
+    there = jnp.repeat(jnp.repeat(jnp.asarray(tiles), side, axis=0), side, axis=1)[:height, :width]
+    return jnp.where(there, image, other)
 
 
 def _layout(state: Any) -> tuple[Any, list[Any]]:

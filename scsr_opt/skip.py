@@ -10,9 +10,11 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
   of intervals of one frame, as far as the positions along an exposure lie close enough and nothing is being hidden.
   What is hidden or has left the picture gives none. An exposure has as many positions as what it sees moves.
 - **The grid.** Where nothing moves at all, samples lie on the sensor's grid, and the blurred picture is not computed in
-  between.
-- **The iteration.** There, seen through a perfect lens, a sensor pixel says something of its own block of the picture
-  alone: the step along the data is exact, and what is left is a cheap one along the prior (`DataProximal`).
+  between. Seen through a perfect lens, a sensor pixel then says something of its own block of the picture alone: the
+  step along the data is exact, and what is left is a cheap one along the prior (`DataProximal`).
+- **The iteration.** Elsewhere, and with a prior that couples near pixels only, tiles that are finished are left alone
+  and the others gone on with, until an iteration of the whole picture says that no tile is above its limit
+  (`scsr_opt.solvers.active_set`). So are corrections for exposures made where the picture has moved on.
 - **The strength.** Where nothing moves at all, what is held out to find λ, and what is kept, are sums over each pixel's
   intervals, which are not made one by one.
 - **Gains.** Windows of a large sensor, and some of the pixels, say whether there is a fixed pattern; all of them are

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from scsr_opt import Result
+from scsr_opt import Result, rounds
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.operators import accumulate, with_exposure
@@ -80,6 +80,30 @@ def test_a_state_that_goes_on_has_the_gradients_of_the_new_problem(make, spikes)
             assert float(jnp.abs(expected - plain.gradient(getattr(after, at))).max()) > 0.01 * float(
                 jnp.abs(expected).max()
             )
+
+
+def test_what_is_far_in_some_tiles_is_corrected_in_these(spikes, monkeypatch):
+    monkeypatch.setattr(rounds, "TILE", 6)  # 4×4 tiles
+    given = prepared(spikes, FISTA())
+    placed, image = given.taken.placed, jnp.asarray(given.image)
+    problem = Problem(accumulate(placed), given.rounds.prior, given.rounds.strength)
+    inside = np.zeros(image.shape, bool)
+    inside[24:36, 12:24] = True
+    # A fifth of the picture's norm, in a tile: as a whole a quarter of that.
+    level = float(jnp.sqrt(jnp.mean(image**2)))
+    tolerance = 0.06 / rounds._NEAR
+    assert 0.2 / 4 < rounds._NEAR * tolerance and 0.2 > rounds._NEAR_IN_TILE * tolerance
+    further = image + 1e-3 * level + 0.2 * level * jnp.asarray(inside, jnp.float32)
+    for skip in (True, False):
+        exposures = rounds._Exposures(problem, placed, None, tiles=True, skip=skip)
+        assert exposures(image, tolerance) is not None and exposures(image, tolerance) is None
+        found = exposures(further, tolerance)
+        assert found is not None and exposures._touched is not None
+        moved = np.asarray(exposures._touched != image)
+        np.testing.assert_array_equal(moved, inside if skip else np.ones_like(inside))
+        expected = with_exposure(problem.data, placed, exposures._touched)
+        np.testing.assert_allclose(found.data.target, expected.target, atol=2e-6)  # of numbers up to 1
+        np.testing.assert_allclose(found.data.energy, expected.energy, rtol=1e-5)
 
 
 def test_it_is_one_solve_to_those_who_watch(spikes):

@@ -24,7 +24,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
@@ -165,15 +165,44 @@ class PlacedSamples(eqx.Module):
 
         return self.in_pieces(piece, carry)
 
-    def in_pieces(self, visit: Callable[[Any, "_Piece"], Any], carry: Any) -> Any:
-        """`carry` after `visit` of all pieces."""
+    def in_pieces(
+        self, visit: Callable[[Any, "_Piece"], Any], carry: Any, wanted: Bool[Array, " pieces"] | None = None
+    ) -> Any:
+        """`carry` after `visit` of all pieces, or of those that are wanted."""
         begins, size = _pieces(self.weight.size)
+        if wanted is not None:
+            begins = begins[jnp.argsort(~wanted)]
 
         # Loops that end early, and no conditionals: those copy what they take in, which cost half as much again.
-        def piece(carry: Any, begin: Array):
-            return visit(carry, _Piece(self, begin, size)), None
+        def piece(number: Array, carry: Any) -> Any:
+            return visit(carry, _Piece(self, begins[number], size))
 
-        return jax.lax.scan(piece, carry, begins)[0]
+        return jax.lax.fori_loop(
+            np.int32(0), np.int32(begins.size) if wanted is None else jnp.sum(wanted, dtype=jnp.int32), piece, carry
+        )
+
+    @eqx.filter_jit
+    def rows(self) -> Int[Array, "2 pieces"]:
+        """Of each piece of the samples, the first row that it is read from, and the last but one; the first is after
+        the last where nothing is."""
+        begins, size = _pieces(self.weight.size)
+        height, width = self.shape
+
+        def piece(begin: Array) -> Array:
+            at = _Piece(self, begin, size)
+            weight = at.of(self.weight)
+
+            def reach(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+                index, live = at.taps(number).index, (weight > 0) & (number < at.positions)
+                least, most = (
+                    of(index, where=live, initial=end) for of, end in zip((jnp.min, jnp.max), found, strict=True)
+                )
+                return least, most
+
+            ends = jnp.asarray(height * width, jnp.int32), jnp.asarray(-1, jnp.int32)
+            return jnp.stack(jax.lax.fori_loop(np.int32(0), at.most(weight), reach, ends))
+
+        return jax.lax.map(piece, begins).T // width
 
     def share(self, number: Int[Array, ""] | int, amount: Float[Array, " n"]) -> Float[Array, " n"]:
         """What the position of this number has of each sample's amount."""
@@ -406,9 +435,13 @@ def _(
     return jnp.zeros_like(values) if target is None else weight * placed.read(target.reshape(placed.shape))
 
 
-@eqx.filter_jit
 def with_exposure(
-    term: DataTerm, placed: PlacedSamples, image: Float[Array, "H W"], *, robust: Float[Array, " n"] | None = None
+    term: DataTerm,
+    placed: PlacedSamples,
+    image: Float[Array, "H W"],
+    *,
+    robust: Float[Array, " n"] | None = None,
+    since: tuple[DataTerm, Float[Array, "H W"], Bool[Array | np.ndarray, " pieces"]] | None = None,
 ) -> DataTerm:
     """`term`, as `accumulate` made it, with c and e corrected for the motion during the exposures: it touches the exact
     data term at `image` and lies on or above it everywhere.
@@ -416,10 +449,40 @@ def with_exposure(
     With U = B·image: c' = c + (M − M_e) U and e' = e + ⟨U, (M − M_e) U⟩. Of a sample with one position nothing is left
     of M − M_e, so that only the others are visited: with u_jk = r_jk·U and their mean u_j,
     (M − M_e) U = Σ_j ω_j Σ_k (u_jk − u_j) r_jk / K_j.
+
+    `since`: the term corrected at another picture, that picture, and which pieces of the samples see where the two
+    pictures differ (`PlacedSamples.rows`). M − M_e is linear, so that no others need be visited.
     """
+    # What is compiled returns what changes: all that it returns it copies, M too.
+    return eqx.tree_at(lambda term: (term.target, term.energy), term, _corrected(term, placed, image, robust, since))
+
+
+@eqx.filter_jit
+def _corrected(
+    term: DataTerm,
+    placed: PlacedSamples,
+    image: Float[Array, "H W"],
+    robust: Float[Array, " n"] | None,
+    since: tuple[DataTerm, Float[Array, "H W"], Bool[Array | np.ndarray, " pieces"]] | None,
+) -> tuple[Float[Array, "rows columns"], Float[Array, ""]]:
+    """c' and e' of `with_exposure`."""
     weight = placed.weight if robust is None else placed.weight * robust
     weight = jnp.where(placed.positions > 1, weight, 0)
     u = term.blurred(image)
+    if since is None:
+        excess = _excess(placed, weight, u, None)
+    else:
+        corrected, touched, seen = since
+        # Of the difference of the pictures, blurring would take XLA four times as long.
+        change = _excess(placed, weight, u - term.blurred(touched), jnp.asarray(seen))
+        excess = corrected.target - term.target + change
+    return term.target + excess, term.energy + jnp.sum(u * excess)
+
+
+def _excess(
+    placed: PlacedSamples, weight: Float[Array, " n"], u: Float[Array, "H W"], wanted: Bool[Array, " pieces"] | None
+) -> Float[Array, "H W"]:
+    """(M − M_e) u, of the pieces that are wanted."""
 
     def piece(total: Float[Array, " pixels"], at: _Piece) -> Float[Array, " pixels"]:
         part = at.of(weight)
@@ -440,6 +503,4 @@ def with_exposure(
 
         return jax.lax.fori_loop(np.int32(0), most, add, total)
 
-    total = placed.in_pieces(piece, jnp.zeros_like(u.reshape(-1)))
-    excess = total.reshape(u.shape)
-    return eqx.tree_at(lambda t: (t.target, t.energy), term, (term.target + excess, term.energy + jnp.sum(u * excess)))
+    return placed.in_pieces(piece, jnp.zeros_like(u.reshape(-1)), wanted).reshape(u.shape)

@@ -13,6 +13,7 @@ residual of the WHOLE picture meets the tolerance and that of no tile is above i
 """
 
 import dataclasses
+import math
 import time
 from typing import Any
 
@@ -25,7 +26,7 @@ from scipy.ndimage import maximum_filter
 
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.progress import Progress
+from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.solvers.iterate import CORRECTED_AFTER, Correction, Outcome, Record, Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
@@ -73,22 +74,58 @@ def run_active(
 
     Each `Stage` is an iteration of the whole picture. The solver's limit of iterations holds for each tile.
     """
-    begin = time.perf_counter()
+    if progress is not None:
+        progress.start(solver.iterations, "solving")
+    try:
+        given: dict[str, Any] = {"similar": similar, "correction": correction, "progress": progress}
+        return _run(solver, problem, image, **given, tolerance=tolerance, skip=skip)
+    finally:
+        if progress is not None:
+            progress.finish()
+
+
+class _Within(NoProgress):
+    """A part of what others see as one piece of work."""
+
+    def __init__(self, progress: Progress):
+        self._progress = progress
+
+    def advance(self, done: int) -> None:
+        self._progress.advance(done)
+
+
+def _run(
+    solver: Solver,
+    problem: Problem,
+    image: Float[Array, "H W"],
+    *,
+    similar: Any,
+    correction: Correction | None,
+    progress: Progress | None,
+    tolerance: float | int | None,
+    skip: bool,
+) -> Outcome:
+    begun = time.perf_counter()
     enough = float(solver.tolerance if tolerance is None else tolerance)
     current = problem
 
     def corrected(image: Float[Array, "H W"], tolerance: float) -> Problem | None:
         nonlocal current
-        following = None if correction is None else correction(image, max(tolerance, enough))
+        # The first iterations of a whole picture that tiles will follow are corrected once; other ones, and tiles, as
+        # the tolerance asks that is to be met at last.
+        good = enough if tolerance <= enough else math.inf
+        following = None if correction is None else correction(image, good)
         current = current if following is None else following
         return following
 
     def whole(tolerance: float, iterations: int, **begin: Any) -> tuple[Any, Result]:
         """Iterations of the whole picture, with corrections on the way."""
         limited = dataclasses.replace(solver, iterations=iterations)
-        touched = None if correction is None else corrected
-        outcome = run(limited, current, image, correction=touched, progress=progress, tolerance=tolerance, **begin)
-        stages.extend(outcome.stages)
+        touched, told = None if correction is None else corrected, None if progress is None else _Within(progress)
+        since, done = time.perf_counter() - begun, len(stages)
+        outcome = run(limited, current, image, correction=touched, progress=told, tolerance=tolerance, **begin)
+        for stage in outcome.stages:
+            stages.append(dataclasses.replace(stage, number=done + stage.number, seconds=since + stage.seconds))
         return outcome.state, outcome.result
 
     def left() -> int:
@@ -103,6 +140,9 @@ def run_active(
     while result is Result.converged:
         gradient, slopes = _slopes(current, state.image, state.prior, state.step_size)
         slopes = np.asarray(slopes)
+        if not np.isfinite(slopes).all():
+            state, result = finite, Result.non_finite
+            break
         active = slopes > limit
         # Neighbours that they would soon wake go on with them.
         active |= (maximum_filter(active, 3) > 0) & (slopes > _WITHIN * limit)
@@ -120,6 +160,9 @@ def run_active(
             state, ended = whole(0.0, min(left(), CORRECTED_AFTER), state=state)
             result = result if ended.good else ended
             continue
+        if corrected(state.image, enough) is not None:
+            stale = True
+            continue
         following, *found = _step(steps, current, state)
         record, residuals = jax.device_get(found)
         if not np.isfinite(sum(record[:3])):
@@ -127,15 +170,15 @@ def run_active(
             break
         state, worst = following, float(residuals.max())
         finite = state
-        stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begin))
-        if record.residual > enough:
-            state, result = whole(enough, left(), state=state)
-        elif worst > limit and left() > 1:
-            continue
-        elif corrected(state.image, enough) is None:
+        stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begun))
+        if progress is not None:
+            progress.advance(1)
+        if record.residual <= enough and worst <= limit:
             break
-        else:
-            stale = True
+        if left() < 2:
+            result = Result.iterations_exhausted
+        elif record.residual > enough:
+            state, result = whole(enough, left(), state=state)
     found = np.asarray(current.prior.clip(state.image))
     return Outcome(found, tuple(stages), result, state, Active(len(stages), alone, side, worst, limit))
 

@@ -292,6 +292,32 @@ def test_exposure_term_touches_the_exact_one_from_above():
     assert float(value_and_gradient(term, jnp.asarray(far))[0]) > 1.001 * exactly(far)[0]
 
 
+def test_a_correction_goes_on_from_another_where_pictures_differ():
+    """Of three pieces, sorted by row, those are visited that see the rows that have changed."""
+    samples, path = some_samples(768, exposure=5), wandering(0.4)
+    samples = subset(samples, np.argsort(samples.row, kind="stable"))
+    placed = placed_samples(samples, path, positions=3)
+    first, last = np.asarray(placed.rows())
+    read = np.asarray(placed.taps.index).reshape(3, 3, 256) // placed.shape[1]
+    counts = np.broadcast_to((np.asarray(placed.weight) > 0).reshape(3, 256), read.shape)
+    np.testing.assert_array_equal(first, read.min((0, 2), where=counts, initial=99))
+    np.testing.assert_array_equal(last, read.max((0, 2), where=counts, initial=-1))
+    term, image = accumulate(placed), random(placed.shape)
+    other = image.copy()
+    other[:2] += 1  # 1 is what the blur, of two pixels, and what a place is read from reach further
+    seen = first < 2
+    assert seen.any() and not seen.all()
+    image, other = jnp.asarray(image), jnp.asarray(other)
+    found = with_exposure(term, placed, other, since=(with_exposure(term, placed, image), image, seen))
+    expected = with_exposure(term, placed, other)
+    np.testing.assert_allclose(found.target, expected.target, atol=1e-12)
+    np.testing.assert_allclose(found.energy, expected.energy, rtol=1e-12)
+    # And no others: without the pieces that see the change nothing changes.
+    none = with_exposure(term, placed, other, since=(with_exposure(term, placed, image), image, ~seen & False))
+    np.testing.assert_allclose(none.target, with_exposure(term, placed, image).target, atol=1e-12)
+    assert float(jnp.abs(none.target - expected.target).max()) > 1e-3
+
+
 def test_correcting_again_and_again_lowers_the_exact_objective_to_its_minimum():
     samples, path = some_samples(500, exposure=5), wandering(0.4)
     placed = placed_samples(samples, path, positions=3)

@@ -1,15 +1,14 @@
 """An active set: the iteration goes on where a picture is not finished, and leaves alone what is.
 
 What rests is found in a few iterations, what moves or was hardly seen in many, and the residual of the whole picture is
-a mean of both. So the whole picture is iterated only until that is near the tolerance. One step of all of it then says
-of each tile how far from optimal it is: by how much G, a proximal-gradient step as long as each pixel allows, changes
-it. Where that is above a limit, F is minimised over the tile's pixels alone, their surroundings held, by the same
-solver: in a window that reaches as far as a pixel's gradient does, with steps of length 0 outside the tile. No two
-tiles that touch are solved for at once (they have four colours), so that F falls with each, as in any descent by blocks
-of coordinates.
+a mean of both. So the whole picture is iterated only until that is near the tolerance. The slope of F then says of
+each tile how far from optimal it is: by how much a step along it, as long as each pixel allows, changes the tile. Where
+that is above a limit, F is minimised over the tile's pixels alone, their surroundings held, by the same solver: in a
+window that reaches as far as a pixel's gradient does, with steps of length 0 outside the tile. No two tiles that touch
+are solved for at once (they have four colours), so that F falls with each, as in any descent by blocks of coordinates.
 
-Then the whole picture is looked at again, and what a neighbour's change woke is gone on with. A solve ends when the
-residual of the WHOLE picture meets the tolerance and that of no tile is above its limit.
+Then the whole picture is looked at again, and what a neighbour's change woke is gone on with. A solve ends with an
+iteration of the WHOLE picture, whose residual meets the tolerance, and that of no tile is above its limit.
 """
 
 import dataclasses
@@ -105,6 +104,7 @@ def _run(
     tolerance: float | int | None,
     skip: bool,
 ) -> Outcome:
+    """`run_active`, as a part of what it tells of."""
     begun = time.perf_counter()
     enough = float(solver.tolerance if tolerance is None else tolerance)
     current = problem
@@ -310,7 +310,8 @@ def _batches(
             return field
 
         # The dual variable of a difference is kept at the first of its two pixels.
-        edges = own | jnp.roll(own, -1, 1) | jnp.roll(own, -1, 2)
+        above = jnp.pad(own[:, 1:], ((0, 0), (0, 1), (0, 0)))
+        edges = own | above | jnp.pad(own[:, :, 1:], ((0, 0), (0, 0), (0, 1)))
         dual = jax.tree.map(lambda field, windows: put(field, windows, edges), dual, states.prior)
         return put(image, states.image, own), dual, took
 

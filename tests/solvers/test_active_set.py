@@ -120,8 +120,12 @@ def test_tiles_are_iterated_as_a_whole_picture_whose_other_pixels_are_held(probl
         np.testing.assert_array_equal(np.asarray(found.image)[~inside], np.asarray(state.image)[~inside])
         # Rounding of float32, of numbers up to 1; the dual variable's are divided by λβ, of about 0.01.
         np.testing.assert_allclose(found.image, expected.image, atol=2e-6)
-        for new, old in zip(found.prior, expected.prior, strict=True):
+        top, left = max(row * SIDE - 1, 0), max(column * SIDE - 1, 0)
+        reached = np.zeros(SHAPE, bool)  # and by the edges that end in the tile
+        reached[top : (row + 1) * SIDE, left : (column + 1) * SIDE] = True
+        for new, old, before in zip(found.prior, expected.prior, state.prior, strict=True):
             np.testing.assert_allclose(np.asarray(new)[inside], np.asarray(old)[inside], atol=2e-4)
+            np.testing.assert_array_equal(np.asarray(new)[~reached], np.asarray(before)[~reached])
 
 
 def test_the_objective_falls_with_each_turn_of_tiles(problem, rough):

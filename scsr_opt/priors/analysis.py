@@ -108,8 +108,8 @@ class Analysis(Prior[State], Generic[State]):
         **Arguments:**
         - `image`: f.
         - `strength`: λ, in the unit of the image, or where the prior is `separable` one for each pixel. At 0 (below
-          1e-19 in float32) the image is returned as it is, and the state but for rounding; a pixel of strength 0 keeps
-          its value, and the others' are found beside it.
+          1e-19 in float32) the image is returned as it is, and the state of one strength but for rounding; a pixel of
+          strength 0 keeps its value, and the others' are found beside it.
         - `state`: from `initial_state` or from an earlier call for a picture of the same shape.
 
         **Returns:** the minimiser, and the dual variable to start from next time.

@@ -172,6 +172,8 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
     **Raises:** `InputError` if nothing was skipped.
     """
     plan, active = solution.plan, solution.active
+    if active is not None and not active.alone.any():
+        active = None
     if plan is None:
         raise InputError("This solution has no plan, as nothing was skipped: solve with skip=True for one.")
     height, width = solution.image.shape

@@ -71,7 +71,8 @@ def run_active(
 
     - `skip`: whether tiles that are finished are left alone. If not, iterations are of the whole picture until all are.
 
-    Each `Stage` is an iteration of the whole picture. The solver's limit of iterations holds for each tile.
+    Each `Stage` is an iteration of the whole picture. The solver's limit of iterations holds for each tile; where it is
+    met, tiles may have changed since the last stage.
     """
     if progress is not None:
         progress.start(solver.iterations, "solving")
@@ -106,7 +107,8 @@ def _run(
 ) -> Outcome:
     """`run_active`, as a part of what it tells of."""
     begun = time.perf_counter()
-    enough = float(solver.tolerance if tolerance is None else tolerance)
+    # As `run` rounds it, which hands it on to corrections.
+    enough = float(np.float32(solver.tolerance if tolerance is None else tolerance))
     current = problem
 
     def corrected(image: Float[Array, "H W"], tolerance: float) -> Problem | None:
@@ -143,19 +145,19 @@ def _run(
         if not np.isfinite(slopes).all():
             state, result = finite, Result.non_finite
             break
+        finite = state = _restarted(state, gradient) if stale else state
         active = slopes > limit
         # Neighbours that they would soon wake go on with them.
         active |= (maximum_filter(active, 3) > 0) & (slopes > _WITHIN * limit)
-        if active.any() and left() < 2:
+        stale = False
+        if left() < (2 if active.any() else 1):
             result = Result.iterations_exhausted
             break
         if active.any() and skip and visits < _VISITS:
             state, took = _on_tiles(steps, current, state, active, limit, min(left() - 1, _MOST))
-            alone, visits, stale = alone + took, visits + 1, True
+            alone, visits, stale, worst = alone + took, visits + 1, True, float("nan")
             corrected(state.image, enough)
             continue
-        if stale:
-            state, stale = _restarted(state, gradient), False
         if active.any():
             state, ended = whole(0.0, min(left(), CORRECTED_AFTER), state=state)
             result = result if ended.good else ended
@@ -169,7 +171,6 @@ def _run(
             state, result = finite, Result.non_finite
             break
         state, worst = following, float(residuals.max())
-        finite = state
         stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begun))
         if progress is not None:
             progress.advance(1)
@@ -287,7 +288,9 @@ def _batches(
             rows, columns = ((corner[axis] + jnp.arange(window)) // side == tile[axis] for axis in (0, 1))
             own = rows[:, None] & columns[None]
             begun = solver.init(part, cut(image, corner))
-            begun = begun._replace(prior=cut(dual, corner), step_size=jnp.where(own, begun.step_size, 0))
+            # Steps of the picture's own length, which its limit is meant for.
+            step_size = jnp.where(own, cut(state.step_size, corner), 0)
+            begun = begun._replace(prior=cut(dual, corner), step_size=step_size)
             return part, begun, own, corner
 
         parts, states, own, corners = eqx.filter_vmap(opened)(tiles)

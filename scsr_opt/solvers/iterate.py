@@ -115,7 +115,7 @@ Correction = Callable[[Float[Array, "H W"], float], Problem | None]
 
 
 class Outcome(NamedTuple):
-    """What a solve gives back; `active`, where tiles were left alone (`scsr_opt.solvers.run_active`)."""
+    """What a solve gives back; `active`, where tiles were asked (`scsr_opt.solvers.run_active`)."""
 
     image: Float[np.ndarray, "H W"]
     stages: tuple[Stage, ...]

@@ -104,7 +104,7 @@ class _PriorProximal(ProximalGradient):
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         step = self._step(problem, state)
         image, β = step.image, step.step_size
-        # A pixel whose step is 0 is held where it is (`scsr_opt.solvers.tiles`).
+        # A pixel whose step is 0 is held where it is (`scsr_opt.solvers.active_set`).
         shortest = β if β.ndim == 0 else jnp.min(β, where=β > 0, initial=jnp.inf)
         # The same slope counts as much wherever it is, as if all steps were as long as the shortest. Differences are
         # seen through a barrier: with those that follow made one, XLA would write them to memory for both.

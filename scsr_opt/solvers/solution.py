@@ -75,7 +75,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Active:
-    """What an active set did (`scsr_opt.solvers.run_active`).
+    """What an active set did (`scsr_opt.solvers.run_active`), in the last solve where there were several.
 
     **Fields:** `whole`: iterations of the whole picture; `alone` (rows, columns): of each tile alone, after those;
     `tile`: its side, pixels of the picture; `worst`: the most that one more iteration changes a tile, root mean square
@@ -127,7 +127,7 @@ class Solution:
     - `state`: what is needed to go on from here (warm start).
     - `plan`: what each part of the scene asked for (`scsr_opt.skip.Plan`); None where nothing was skipped.
     - `gain`: (h, w), of each sensor pixel, as handed in or found (`scsr_opt.reconstruct`); None where it is 1.
-    - `active`: how long each tile was iterated for; None where all were for as long.
+    - `active`: how long each tile was iterated for in the last solve; None where tiles were not asked.
     """
 
     image: Float[np.ndarray, "H W"]

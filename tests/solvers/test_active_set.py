@@ -12,6 +12,7 @@ from skimage import data
 from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators import Blur, accumulate, place
+from scsr_opt.operators.data_term import Stencil
 from scsr_opt.priors import HuberTotalVariation, TotalVariation, default_prior
 from scsr_opt.progress import NoProgress
 from scsr_opt.solvers import (
@@ -105,17 +106,15 @@ def test_it_ends_at_the_minimum_with_no_tile_far_from_it(make, skip, problem, st
 
 def test_tiles_are_iterated_as_a_whole_picture_whose_other_pixels_are_held(problem, rough):
     """The window reaches far enough: one iteration in it is that of the whole picture with steps of 0 elsewhere."""
-    # No step is cut to ten times the shortest, which in a window may be another.
-    solver = FISTA(step_size=Separable(widest=1e6))
-    steps = dataclasses.replace(solver, iterations=1, tolerance=0.0)
+    solver = FISTA()
     state = solver.warm(problem, rough.state)
-    for row, column in ((0, 0), (1, 1), (2, 0)):  # in a corner, inside, and where tiles are smaller
+    for row, column in ((0, 0), (1, 1), (2, 0), (2, 3)):  # in a corner, inside, where tiles are smaller, hardly seen
         inside = np.zeros(SHAPE, bool)
         inside[pixels(row, column)] = True
         held = state._replace(step_size=jnp.where(jnp.asarray(inside), state.step_size, 0))
         expected, record = solver.step(problem, held)
         assert np.isfinite(record.residual) and record.residual > 0
-        found, took = module._on_tiles(steps, problem, state, one_tile(row, column), 0.0, 1)
+        found, took = module._on_tiles(STEPS, problem, state, one_tile(row, column), 0.0, 1)
         assert took.sum() == took[row, column] == 1
         np.testing.assert_array_equal(np.asarray(found.image)[~inside], np.asarray(state.image)[~inside])
         # Rounding of float32, of numbers up to 1; the dual variable's are divided by λβ, of about 0.01.
@@ -150,6 +149,37 @@ def test_only_what_is_unfinished_and_what_that_wakes_is_gone_on_with(problem, be
     assert alone[0, 0] > 0 and not alone[2:].any() and not alone[:, 2:].any()
     least = objective(problem, best.image)
     assert objective(problem, found.image) - least < 0.01 * (objective(problem, image) - least)
+
+
+def test_it_does_not_matter_what_weights_are_counted_in(problem, start):
+    """Also where a part of the picture was not seen at all."""
+    planes, target = problem.data.stencil.planes.at[:, :, 150:].set(0), problem.data.target.at[:, 150:].set(0)
+
+    def times(factor: float) -> Problem:
+        data = dataclasses.replace(problem.data, stencil=Stencil(factor * planes), target=factor * target)
+        return dataclasses.replace(problem, data=data, strength=factor * problem.strength)
+
+    found = [run_active(FISTA(iterations=400), times(factor), start) for factor in (1.0, 1e3, 1e-4)]
+    for outcome in found:
+        assert outcome.result is Result.converged and outcome.active is not None and found[0].active is not None
+        assert abs(outcome.active.alone.max() - found[0].active.alone.max()) <= 5
+        np.testing.assert_allclose(outcome.image, found[0].image, atol=0.01)
+
+
+@pytest.mark.parametrize("skip", [True, False])
+@pytest.mark.parametrize("most", [1, 2, 5, 9])
+def test_no_more_iterations_are_done_than_allowed(most, skip, problem, start):
+    found = run_active(FISTA(iterations=most, tolerance=3e-3), problem, start, skip=skip)
+    assert found.active is not None and len(found.stages) + found.active.alone.max() <= most
+    assert np.isfinite(found.image).all()
+
+
+def test_corrections_are_asked_for_by_the_tolerance(problem, start):
+    """Whatever its digits: 1e-3 is more than its float32."""
+    for tolerance in (1e-3, 1e-4, 3e-4):
+        asked = []
+        run_active(FISTA(tolerance=tolerance), problem, start, correction=lambda _, t: asked.append(t), skip=False)  # noqa: B023
+        assert asked and all(t == pytest.approx(tolerance) for t in asked)
 
 
 def test_the_limit_of_iterations_holds_for_each_tile(problem, start):

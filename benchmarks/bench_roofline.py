@@ -20,7 +20,8 @@ from benchmarks.bench_cases import Size
 from benchmarks.bench_iteration import SCALE, first_state, fused_iteration, placed_of, problem_of
 from benchmarks.bench_timing import in_turns, keeping_memory, program
 from scsr_opt.motion.alignment import drift
-from scsr_opt.operators.sampling import accumulate, with_exposure
+from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.sampling import accumulate
 from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser
 from scsr_opt.progress import Progress
 from scsr_opt.solvers import ADMM, FISTA, CondatVu, lipschitz_bound

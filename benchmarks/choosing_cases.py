@@ -20,7 +20,8 @@ from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion.handed_in import given
 from scsr_opt.motion.trajectory import trajectory_of
 from scsr_opt.operators.data_term import DataTerm
-from scsr_opt.operators.sampling import accumulate, place, with_exposure
+from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.sampling import accumulate, place
 from scsr_opt.solvers import Problem, Solver, run
 
 FRAMES, VELOCITY, POSITIONS = 101, (0.07, -0.12), 3

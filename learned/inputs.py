@@ -16,7 +16,8 @@ from scsr_opt.motion.estimate import estimate_motion
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.data_term import DataTerm, Stencil
-from scsr_opt.operators.sampling import accumulate, with_exposure
+from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.sampling import accumulate
 from scsr_opt.placing import Stream, first_picture, measured
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.solvers.iterate import run

@@ -23,7 +23,8 @@ from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.estimate import Estimator
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.data_term import DataTerm
-from scsr_opt.operators.sampling import PlacedSamples, accumulate, with_exposure
+from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.placing import Stream, stream_around
 from scsr_opt.preparation import FRAMES, prepare
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation

@@ -20,9 +20,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.exposures import with_exposure
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.robust import Loss, robust_factors
-from scsr_opt.operators.sampling import PlacedSamples, accumulate, with_exposure
+from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.active_set import TILE, by_tile, divides, run_active

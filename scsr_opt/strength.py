@@ -25,8 +25,9 @@ from scsr_opt.errors import InputError
 from scsr_opt.held_out import MOVED, STRETCH, held_out, light_at_rest
 from scsr_opt.motion.trajectory import Motion, Trajectory
 from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.exposures import with_exposure
 from scsr_opt.operators.operator import LinearOperator
-from scsr_opt.operators.sampling import PlacedSamples, accumulate, place, with_exposure
+from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
 from scsr_opt.placing import Measurements, Stream, measured
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior

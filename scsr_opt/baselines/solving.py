@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from scsr_opt.operators.sampling import PlacedSamples, accumulate, with_exposure
+from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.solvers.iterate import run
 from scsr_opt.solvers.problem import Problem

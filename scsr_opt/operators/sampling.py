@@ -11,9 +11,10 @@ M and c are accumulated once. M is a symmetric stencil of 3×3 weights that vari
 
 **Exposures.** Rows at several positions of an exposure would couple points as far apart as the motion during it. M is
 therefore accumulated from Σ_k r_jk r_jkᵀ / K, which is never below the true M_e = Σ ω_j r_j r_jᵀ with r_j = Σ_k r_jk /
-K (convexity), while c is exact. `with_exposure` then corrects c so that the gradient at a given picture is the exact
-one: each solve minimises a quadratic that lies on or above the true objective and touches it there (majorise–minimise),
-so that alternating the two lowers the true objective every time and ends at its minimiser.
+K (convexity), while c is exact. `with_exposure` (`scsr_opt.operators.exposures`) then corrects c so that the gradient
+at a given picture is the exact one: each solve minimises a quadratic that lies on or above the true objective and
+touches it there (majorise–minimise), so that alternating the two lowers the true objective every time and ends at its
+minimiser.
 """
 
 import math
@@ -127,7 +128,7 @@ class PlacedSamples(eqx.Module):
         # All at once: on two cores, five positions of all samples took a third of the time of those that there are.
         def layer(total: Float[Array, " n"], at: tuple[Array, Taps]):
             number, taps = at
-            return total + self.share(number, _read(u, taps)), None
+            return total + self.share(number, read_at(u, taps)), None
 
         return jax.lax.scan(layer, jnp.zeros_like(u, shape=self.value.shape), (self.numbers, self.taps))[0]
 
@@ -154,7 +155,7 @@ class PlacedSamples(eqx.Module):
         that have no amount; K_j is the number of a sample's positions. In a call all but the carry is (m,), of one
         piece."""
 
-        def piece(carry: Any, at: _Piece):
+        def piece(carry: Any, at: Piece):
             own, rest = at.of(amount), tuple(map(at.of, more))
             each, most = own / at.divisor.astype(own.dtype), at.most(own)
 
@@ -166,7 +167,7 @@ class PlacedSamples(eqx.Module):
         return self.in_pieces(piece, carry)
 
     def in_pieces(
-        self, visit: Callable[[Any, "_Piece"], Any], carry: Any, wanted: Bool[Array, " pieces"] | None = None
+        self, visit: Callable[[Any, "Piece"], Any], carry: Any, wanted: Bool[Array, " pieces"] | None = None
     ) -> Any:
         """`carry` after `visit` of all pieces, or of those that are wanted."""
         begins, size = _pieces(self.weight.size)
@@ -175,7 +176,7 @@ class PlacedSamples(eqx.Module):
 
         # Loops that end early, and no conditionals: those copy what they take in, which cost half as much again.
         def piece(number: Array, carry: Any) -> Any:
-            return visit(carry, _Piece(self, begins[number], size))
+            return visit(carry, Piece(self, begins[number], size))
 
         return jax.lax.fori_loop(
             np.int32(0), np.int32(begins.size) if wanted is None else jnp.sum(wanted, dtype=jnp.int32), piece, carry
@@ -183,13 +184,13 @@ class PlacedSamples(eqx.Module):
 
     @eqx.filter_jit
     def rows(self) -> Int[Array, "2 pieces"]:
-        """Of each piece of the samples, the first row that it is read from, and the last but one; the first is after
-        the last where nothing is."""
+        """Of each piece of the samples, the first row of U that it is read from, and the last but one; the first is
+        after the last where nothing is."""
         begins, size = _pieces(self.weight.size)
         height, width = self.shape
 
         def piece(begin: Array) -> Array:
-            at = _Piece(self, begin, size)
+            at = Piece(self, begin, size)
             weight = at.of(self.weight)
 
             def reach(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -233,7 +234,7 @@ def _(
     return placed.read(change)
 
 
-class _Piece:
+class Piece:
     """Neighbouring samples, `size` of them from number `begin` on; `positions` as of the samples, and 1 instead of 0 as
     a `divisor`."""
 
@@ -258,7 +259,7 @@ class _Piece:
         return jnp.where(jnp.any(amount != 0), jnp.max(self.positions), 0)
 
 
-def _read(u: Float[Array, "H W"], taps: Taps) -> Float[Array, "*n"]:
+def read_at(u: Float[Array, "H W"], taps: Taps) -> Float[Array, "*n"]:
     """u at the taps, bilinearly."""
     flat, width = u.reshape(-1), u.shape[1]
     corners = [flat[taps.index + offset] for offset in (0, 1, width, width + 1)]
@@ -433,74 +434,3 @@ def _(
     # M does not depend on the values.
     target = change[1]
     return jnp.zeros_like(values) if target is None else weight * placed.read(target.reshape(placed.shape))
-
-
-def with_exposure(
-    term: DataTerm,
-    placed: PlacedSamples,
-    image: Float[Array, "H W"],
-    *,
-    robust: Float[Array, " n"] | None = None,
-    since: tuple[DataTerm, Float[Array, "H W"], Bool[Array | np.ndarray, " pieces"]] | None = None,
-) -> DataTerm:
-    """`term`, as `accumulate` made it, with c and e corrected for the motion during the exposures: it touches the exact
-    data term at `image` and lies on or above it everywhere.
-
-    With U = B·image: c' = c + (M − M_e) U and e' = e + ⟨U, (M − M_e) U⟩. Of a sample with one position nothing is left
-    of M − M_e, so that only the others are visited: with u_jk = r_jk·U and their mean u_j,
-    (M − M_e) U = Σ_j ω_j Σ_k (u_jk − u_j) r_jk / K_j.
-
-    `since`: the term corrected at another picture, that picture, and which pieces of the samples see where the two
-    pictures differ (`PlacedSamples.rows`). M − M_e is linear, so that no others need be visited.
-    """
-    # What is compiled returns what changes: all that it returns it copies, M too.
-    return eqx.tree_at(lambda term: (term.target, term.energy), term, _corrected(term, placed, image, robust, since))
-
-
-@eqx.filter_jit
-def _corrected(
-    term: DataTerm,
-    placed: PlacedSamples,
-    image: Float[Array, "H W"],
-    robust: Float[Array, " n"] | None,
-    since: tuple[DataTerm, Float[Array, "H W"], Bool[Array | np.ndarray, " pieces"]] | None,
-) -> tuple[Float[Array, "rows columns"], Float[Array, ""]]:
-    """c' and e' of `with_exposure`."""
-    weight = placed.weight if robust is None else placed.weight * robust
-    weight = jnp.where(placed.positions > 1, weight, 0)
-    u = term.blurred(image)
-    if since is None:
-        excess = _excess(placed, weight, u, None)
-    else:
-        corrected, touched, seen = since
-        # Of the difference of the pictures, blurring would take XLA four times as long.
-        change = _excess(placed, weight, u - term.blurred(touched), jnp.asarray(seen))
-        excess = corrected.target - term.target + change
-    return term.target + excess, term.energy + jnp.sum(u * excess)
-
-
-def _excess(
-    placed: PlacedSamples, weight: Float[Array, " n"], u: Float[Array, "H W"], wanted: Bool[Array, " pieces"] | None
-) -> Float[Array, "H W"]:
-    """(M − M_e) u, of the pieces that are wanted."""
-
-    def piece(total: Float[Array, " pixels"], at: _Piece) -> Float[Array, " pixels"]:
-        part = at.of(weight)
-        each, most = 1 / at.divisor.astype(u.dtype), at.most(part)
-        nothing = jnp.zeros_like(part)
-
-        # What was read of a piece is still in the cache when it is spread: 0.6 of the time of reading all first.
-        def read(number: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
-            seen, mean = found
-            here = _read(u, at.taps(number))
-            return seen.at[number].set(here), mean + jnp.where(number < at.positions, each * here, 0)
-
-        seen, mean = jax.lax.fori_loop(np.int32(0), most, read, (jnp.stack([nothing] * placed.finest), nothing))
-
-        def add(number: Array, total: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
-            off = jnp.where(number < at.positions, each * part * (seen[number] - mean), 0)
-            return placed.add(total, at.taps(number), off)
-
-        return jax.lax.fori_loop(np.int32(0), most, add, total)
-
-    return placed.in_pieces(piece, jnp.zeros_like(u.reshape(-1)), wanted).reshape(u.shape)

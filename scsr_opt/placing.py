@@ -33,15 +33,15 @@ _MERGED_CHANGE = 0.25
 # while something comes into view or is hidden, and a run that leaves the picture is lost as a whole.
 _STEADY = 0.125
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
-# through an aperture of one, and of that they all miss about as much (`scsr_opt.operators.sampling`).
-_POSITIONS, _REACHES = (5, 3, 2, 1), (1.45, 0.8, 0.3)
+# through an aperture of one, and of that they miss no more than 0.003 (docs/data-term.md, "Exposures").
+_POSITIONS, _REACHES = (5, 3, 2, 1), (1.0, 0.5, 0.2)
 # How far what a pixel sees may move during a run of intervals of one frame that is merged: five positions then lie 3/8
 # of a sensor pixel apart.
 _FARTHEST = 1.875
 # Where two positions are asked for by no more than this share of the weight, and more by none, all are taken in the
 # middle of their exposure: a few long intervals of dark pixels would put all samples through rounds of corrections.
-# What they show is then blurred by up to a sensor pixel of motion; at this share it is no object: a hundred pixels of a
-# million.
+# What they show is then blurred by up to half a sensor pixel of motion; at this share it is no object: a hundred of a
+# million pixels.
 _FEW_LONG = 1e-4
 # Standard deviation, sensor pixels, over which the light of pixels is averaged to tell their noise.
 _NEIGHBOURS = 1.5

@@ -20,7 +20,14 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
 - **Gains.** Windows of a large sensor, and some of the pixels, say whether there is a fixed pattern; all of them are
   looked at only where there is.
 
-`Plan` says of each tile of the sensor which of these apply, and why.
+`Plan` says of each tile of the sensor which of these apply, and why. What the spikes have to say is asked by tests:
+
+- *Something moves* by score tests of rest, of each pixel's surroundings (`scsr_opt.motion.evidence`) and of the whole
+  scene (`moves_as_one`, p < 10⁻⁴); that all of it moves in one way by the same tests of that motion.
+- *Dark, saturated, uniform* by the numbers of spikes in a tile, each with a false-alarm rate of 0.1 %.
+- *Fast* is what the motion and its visibility say, without a test of its own.
+
+How often they are wrong on simulated recordings is measured by `benchmarks.false_alarms` (docs/measurements.md).
 """
 
 import enum
@@ -29,20 +36,21 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from scsr_opt.camera.saturation import SATURATED, spike_counts
 from scsr_opt.motion.trajectory import Motion
 
 # Side of a tile, sensor pixels.
 TILE = 16
-# Below so many spikes a pixel tells next to nothing alone; the prior and its neighbours have to.
-_DARK = 4.0
+DARK = 4.0
+"""With fewer spikes than these a pixel tells next to nothing alone; the prior and its neighbours have to."""
 # Share of a tile's pixels that must be still over the whole recording for the tile to be at rest.
 _STILL = 0.5
 # Share of a tile's light that must be usable: less, and most of what it sees is out of view in the key frame.
 _USED = 0.5
-# The chance that a tile without texture is taken for one with texture.
+# The chance that a tile without texture is taken for one with texture, one with enough spikes for dark, or one that has
+# frames without a spike for saturated.
 _FALSE_ALARM = 1e-3
 
 
@@ -64,7 +72,7 @@ _REASONS = {
     Kind.STATIC: _AT_REST,
     Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
     Kind.MOVING: "moves or changes: every interval is placed on its own",
-    Kind.DARK: f"fewer than {_DARK:g} spikes a pixel: what there is is used in full, and smoothed",
+    Kind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
     Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
 }
@@ -131,7 +139,8 @@ def plan_of(
     """The plan that a recording was measured by.
 
     A tile is uniform if the numbers of spikes of its pixels differ no more than their noise makes them (χ² over the
-    tile's pixels, with a false-alarm rate of 0.1 %).
+    tile's pixels, with a false-alarm rate of 0.1 %), and dark or saturated if their mean is below or above the limit by
+    more than noise would make it (one side of a normal distribution, the same rate).
 
     **Arguments:**
     - `still_for`, `merged_for`: frames over which what each pixel sees hardly moves, and those over which its
@@ -152,6 +161,7 @@ def plan_of(
     # No mean is known better than to a spike: the phase of a pixel's first one is chance.
     variance = max(noise**2, 1 / 12 / frames**2)
     flat = scatter <= variance * chi2.ppf(1 - _FALSE_ALARM, np.maximum(pixels - 1, 1))
+    doubt = norm.isf(_FALSE_ALARM) * np.sqrt(variance / pixels)
 
     def of_tiles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows columns"]:
         summed = np.bincount(pixel, values, minlength=height * width).reshape(height, width)
@@ -164,8 +174,8 @@ def plan_of(
     kind[rests] = Kind.STATIC
     kind[rests & flat] = Kind.UNIFORM
     kind[share < _USED] = Kind.FAST
-    kind[mean * np.float32(frames) < _DARK] = Kind.DARK
-    kind[mean >= SATURATED] = Kind.SATURATED
+    kind[(mean + doubt) * frames < DARK] = Kind.DARK
+    kind[mean - doubt >= SATURATED] = Kind.SATURATED
     return Plan(
         kind=kind,
         merged_for=_tiles(merged_for.astype(np.float32), np.minimum).astype(np.int32),

@@ -9,6 +9,7 @@ from skimage import data
 
 from scsr_opt import Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, simulate
+from scsr_opt.camera.saturation import SATURATED
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
 from scsr_opt.demo import psnr
 from scsr_opt.errors import InputError
@@ -18,7 +19,7 @@ from scsr_opt.placing import Stream, measured
 from scsr_opt.priors import default_prior
 from scsr_opt.reconstruction import _some
 from scsr_opt.report import plan_figure
-from scsr_opt.skip import TILE, Kind, plan_of
+from scsr_opt.skip import DARK, TILE, Kind, plan_of
 
 SCALE, FRAMES, KEY = 2, 101, 50
 WALL = data.gravel()[40:200, 60:220] / 255  # 80×80 sensor pixels
@@ -198,6 +199,22 @@ def test_few_tiles_without_texture_are_taken_for_textured_ones():
     counts = np.clip(np.round(rng.binomial(frames, 0.5, (height, width)) + frames * stripes), 0, frames)
     spikes = (np.arange(frames)[:, None, None] < counts).astype(np.uint8)
     assert plan(spikes, frames, noise=noise).share(Kind.STATIC) == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit", "beyond"), [(Kind.DARK, DARK / 64, 3 / 64), (Kind.SATURATED, SATURATED, 0.95)]
+)
+def test_few_tiles_at_the_limit_are_taken_for_dark_or_saturated(kind, limit, beyond):
+    """The false-alarm rate of 0.1 % holds at the limit itself; what is well beyond it is told."""
+    rng, frames = np.random.default_rng(2), 64
+
+    def share(rate: float) -> float:
+        spikes = (rng.random((frames, 16 * 40, 16 * 50), dtype=np.float32) < rate).astype(np.uint8)
+        return plan(spikes, frames, noise=float(np.sqrt(rate * (1 - rate) / frames))).share(kind)
+
+    # 2000 tiles at 0.1 %: 2 expected, 10 or more in 5 of 100,000 runs. A mean alone would call half of them that.
+    assert share(limit) * 2000 < 10
+    assert share(beyond) == 1
 
 
 def test_a_plan_is_told_in_words_numbers_and_a_picture(tmp_path):

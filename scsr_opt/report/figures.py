@@ -29,7 +29,9 @@ from scsr_opt.solvers.solution import Solution
 _INK = "#222222"
 _FAINT = "#777777"
 _ACCENT = "#c8102e"
+# Inches; a tall picture is shown smaller than there is room for, so as not to be taller than this.
 _MARGIN, _GUTTER, _TITLE = 0.15, 0.12, 0.3
+_WIDEST, _TALLEST, _SCALE = 7.0, 12.0, 0.9
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -120,6 +122,7 @@ def compare(
 
     page = 10.0 if len(pictures) < 3 else 13.0
     column = (page - 2 * _MARGIN - (len(pictures) - 1) * _GUTTER) / len(pictures)
+    column = min(column, _TALLEST * width / height)
     # All in inches from the top left corner: pictures of a known shape need no layout engine, only this sum.
     first = _MARGIN + (0.4 if title else 0.0) + _TITLE
     second = first + column * height / width + _GUTTER
@@ -159,10 +162,6 @@ _OF_KIND = {
 }
 
 
-# Inches.
-_WIDEST, _TALLEST, _SCALE = 7.0, 12.0, 0.9
-
-
 def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> Figure:
     """What each tile of the scene asked for, in colour over the picture, and the reasons in words; beside it, where
     tiles were left alone, how many iterations each of them took.
@@ -177,7 +176,6 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
     if plan is None:
         raise InputError("This solution has no plan, as nothing was skipped: solve with skip=True for one.")
     height, width = solution.image.shape
-    # A tall picture is shown smaller, and the words below it are not.
     across = min(_WIDEST, _TALLEST * width / height)
     tall = across * height / width
     page = 2 * _MARGIN + (_WIDEST if active is None else max(_WIDEST, 2 * across + _GUTTER + _SCALE))
@@ -208,8 +206,10 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
             y = 1 - (number + 0.8) / (len(lines) + 1)
             kind = next((kind for kind in shown if line.endswith(f"{plan.reason(kind)}.")), None)
             inches = page - 2 * _MARGIN
-            if kind is not None and _OF_KIND[kind] is not None:
-                below.plot(0.056 / inches, y, "s", color=_OF_KIND[kind], alpha=0.6, markersize=7)
+            if kind is not None:
+                colour = _OF_KIND[kind] or "none"
+                edge = _FAINT if colour == "none" else colour
+                below.plot(0.056 / inches, y, "s", color=colour, markeredgecolor=edge, alpha=0.6, markersize=7)
             below.text(0.175 / inches, y, line, va="center", fontsize=8)
         below.set(xlim=(0, 1), ylim=(0, 1))
     return drawn

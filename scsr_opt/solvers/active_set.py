@@ -155,7 +155,10 @@ def _run(
             break
         if active.any() and skip and visits < _VISITS:
             state, took = _on_tiles(steps, current, state, active, limit, min(left() - 1, _MOST))
-            alone, visits, stale, worst = alone + took, visits + 1, True, float("nan")
+            before, alone = int(alone.max()), alone + took
+            visits, stale, worst = visits + 1, True, float("nan")
+            if progress is not None:
+                progress.advance(int(alone.max()) - before)
             corrected(state.image, enough)
             continue
         if active.any():

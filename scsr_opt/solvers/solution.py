@@ -77,9 +77,10 @@ class Stage:
 class Active:
     """What an active set did (`scsr_opt.solvers.run_active`), in the last solve where there were several.
 
-    **Fields:** `whole`: iterations of the whole picture; `alone` (rows, columns): of each tile alone, after those;
-    `tile`: its side, pixels of the picture; `worst`: the most that one more iteration changes a tile, root mean square
-    as a share of the picture's, NaN where the solve ended before that was asked; `limit`: what that may be.
+    **Fields:** `whole`: iterations of the whole picture; `alone` (rows, columns): of each tile alone, until it was
+    finished (it is iterated on as long as those side by side with it are not); `tile`: its side, pixels of the picture;
+    `worst`: the most that one more iteration changes a tile, root mean square as a share of the picture's, NaN where
+    the solve ended before that was asked; `limit`: what that may be.
     """
 
     whole: int

@@ -82,6 +82,12 @@ def test_nothing_is_drawn_outside_the_page(spikes, solution):
         assert box is not None and box.x0 >= page.x0 and box.x1 <= page.x1 and box.y0 >= page.y0 and box.y1 <= page.y1
 
 
+def test_a_narrow_picture_fits_on_a_page(solution):
+    narrow = dataclasses.replace(solution, image=np.full((400, 4), 0.5, np.float32), motion=None)
+    drawn = figure(np.ones((5, 100, 1), np.uint8), narrow, scale=4)
+    assert drawn.get_size_inches()[1] < 30
+
+
 def test_figures_leave_pyplot_alone(spikes, solution):
     figure(spikes, solution, scale=4)
     assert plt.get_fignums() == []

@@ -217,7 +217,9 @@ def test_it_is_one_solve_to_those_who_watch(problem, start):
 
     watched = Watched()
     found = run_active(FISTA(), problem, start, progress=watched)
-    assert watched.started == watched.finished == 1 and watched.done == len(found.stages)
+    assert watched.started == watched.finished == 1
+    assert found.active is not None and found.active.alone.any()
+    assert watched.done == len(found.stages) + found.active.alone.max()
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     seconds = [stage.seconds for stage in found.stages]
     assert seconds == sorted(seconds)

@@ -25,8 +25,8 @@ from scsr_opt.skip import DARK, Kind, Plan
 SIZE, SCALE, FRAMES = 64, 2, 101
 # Sensor pixels within the recording.
 PANS = (0.25, 0.5, 1.0, 2.0)
-# Plain recordings of each kind: 8,000 tiles, of which 8 may be wrong.
-PLAIN = 500
+# Plain recordings of each kind: 4,000 tiles, of which 4 may be wrong.
+PLAIN = 250
 STILL = (Kind.STATIC, Kind.UNIFORM)
 
 
@@ -78,8 +78,8 @@ def lines(parts: int) -> Iterator[str]:
     sensor = Sensor(white_rate, photons)
     yield plain("plain, intensity 0.5: textured", 0.5, sensor, Kind.STATIC, Kind.MOVING, Kind.FAST)
     yield plain(f"{DARK:g} spikes a pixel: dark", DARK / FRAMES / white_rate, sensor, Kind.DARK)
-    bright = SATURATED / white_rate
-    yield plain(f"spikes in {100 * SATURATED:g} % of the frames: saturated", bright, sensor, Kind.SATURATED)
+    bright = Sensor(SATURATED, photons)
+    yield plain(f"spikes in {100 * SATURATED:g} % of the frames: saturated", 1.0, bright, Kind.SATURATED)
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ _MERGED_CHANGE = 0.25
 _STEADY = 0.125
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
 # through an aperture of one, and of that they miss no more than 0.003 (docs/data-term.md, "Exposures").
-_POSITIONS, _REACHES = (5, 3, 2, 1), (1.0, 0.5, 0.2)
+_POSITIONS, _REACHES = (5, 3, 2, 1), (1.2, 0.5, 0.2)
 # How far what a pixel sees may move during a run of intervals of one frame that is merged: five positions then lie 3/8
 # of a sensor pixel apart.
 _FARTHEST = 1.875

@@ -5,8 +5,9 @@
 Random parts of scikit-image's pictures, 64×64 sensor pixels at ×2 (16 tiles), 101 frames, by day and in dim light. At
 rest: in how many recordings anything is said to move, and in how many tiles (a false alarm costs time alone). As slow
 pans: in how many tiles nothing is said to move (a miss costs sharpness); by how far the picture moves within the
-recording. Plain recordings: tiles that are said to have texture; and at the very limit to dark and to saturated, tiles
-that are said to be that, where noise alone decides. Of these three 0.1 % are asked for at most.
+recording. Plain recordings at rest, by spikes per frame, some as regular as they can be: tiles that are said to have
+texture, and to move; and at the very limit to dark and to saturated, tiles that are said to be that, where noise alone
+decides. Of texture, dark and saturated 0.1 % are asked for at most.
 """
 
 import argparse
@@ -25,8 +26,8 @@ from scsr_opt.skip import DARK, Kind, Plan
 SIZE, SCALE, FRAMES = 64, 2, 101
 # Sensor pixels within the recording.
 PANS = (0.25, 0.5, 1.0, 2.0)
-# Plain recordings of each kind: 4,000 tiles, of which 4 may be wrong.
-PLAIN = 250
+# Plain recordings of each kind: 1,600 tiles, of which two may be wrong; and their spikes per frame.
+PLAIN, RATES = 100, (0.1, 0.25, 0.3, 0.495, 0.5)
 STILL = (Kind.STATIC, Kind.UNIFORM)
 
 
@@ -56,10 +57,10 @@ def textured(number: int) -> Iterator[tuple[int, Float[np.ndarray, "H W"]]]:
             yield int(generator.integers(2**31)), picture[row : row + side, column : column + side]
 
 
-def plain(name: str, intensity: float, sensor: Sensor, *kinds: Kind) -> str:
-    """A line about plain recordings."""
+def flat(intensity: float, sensor: Sensor) -> list[Plan]:
+    """The plans of plain recordings."""
     scene = Static(np.full((SCALE * SIZE, SCALE * SIZE), intensity, np.float32))
-    return f"| {name} | {told([planned(scene, sensor, seed) for seed in range(PLAIN)], *kinds)} |"
+    return [planned(scene, sensor, seed) for seed in range(PLAIN)]
 
 
 def lines(parts: int) -> Iterator[str]:
@@ -76,10 +77,15 @@ def lines(parts: int) -> Iterator[str]:
             yield f"| a pan by {pan:g} sensor pixels, {light}: at rest | {told(panned, *STILL)} |"
     white_rate, photons = LIGHTS[0]
     sensor = Sensor(white_rate, photons)
-    yield plain("plain, intensity 0.5: textured", 0.5, sensor, Kind.STATIC, Kind.MOVING, Kind.FAST)
-    yield plain(f"{DARK:g} spikes a pixel: dark", DARK / FRAMES / white_rate, sensor, Kind.DARK)
-    bright = Sensor(SATURATED, photons)
-    yield plain(f"spikes in {100 * SATURATED:g} % of the frames: saturated", 1.0, bright, Kind.SATURATED)
+    for rate in RATES:
+        plans = flat(rate / white_rate, sensor)
+        yield f"| plain, {rate:g} spikes per frame: textured | {told(plans, Kind.STATIC)} |"
+        yield f"| plain, {rate:g} spikes per frame: moving | {told(plans, Kind.MOVING, Kind.FAST)} |"
+    for grain in (photons, LIGHTS[1][1]):
+        plans = flat(DARK / FRAMES / white_rate, Sensor(white_rate, grain))
+        yield f"| {DARK:g} spikes a pixel, {grain:g} photons: dark | {told(plans, Kind.DARK)} |"
+    plans = flat(1.0, Sensor(SATURATED, photons))
+    yield f"| spikes in {100 * SATURATED:g} % of the frames: saturated | {told(plans, Kind.SATURATED)} |"
 
 
 def main() -> None:

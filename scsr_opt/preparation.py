@@ -157,6 +157,7 @@ class Asked:
             light=taken.light,
             used=np.asarray(taken.placed.weight)[: samples.row.size],
             noise=noise * self.stream.white_rate,
+            bad_pixels=self.stream.bad_pixels,
         )
         # Nothing else is ever merged.
         return plan if isinstance(self.measuring, Intervals) else replace(plan, intervals=plan.samples)

@@ -27,7 +27,8 @@ A still wall beside a moving car must not cost as much as the car. So nothing is
 - *Dark, saturated, uniform* by the numbers of spikes in a tile, each with a false-alarm rate of 0.1 %.
 - *Fast* is what the motion and its visibility say, without a test of its own.
 
-How often they are wrong on simulated recordings is measured by `benchmarks.false_alarms` (docs/measurements.md).
+How often they are wrong on simulated recordings, above all plain ones that fire in a simple rhythm, is measured by
+`benchmarks.false_alarms` (docs/measurements.md).
 """
 
 import enum
@@ -35,7 +36,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from scipy.stats import chi2, norm
 
 from scsr_opt.camera.saturation import SATURATED, spike_counts
@@ -71,7 +72,7 @@ _APART = "nothing moves: no motion, but as so small a picture, or so little at r
 _REASONS = {
     Kind.STATIC: _AT_REST,
     Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
-    Kind.MOVING: "moves or changes: every interval is placed on its own",
+    Kind.MOVING: "moves or changes, or its spikes look like it: every interval is placed on its own",
     Kind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
     Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
@@ -135,6 +136,7 @@ def plan_of(
     light: Float[np.ndarray, " n"],
     used: Float[np.ndarray, " n"],
     noise: float,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
 ) -> Plan:
     """The plan that a recording was measured by.
 
@@ -147,19 +149,22 @@ def plan_of(
       intervals were merged.
     - `pixel`, `light`, `used`: of each sample, the flattened sensor pixel, its weight as measured, and as placed.
     - `noise`: standard deviation of a pixel's mean number of spikes per frame.
+    - `bad_pixels`: true where the spikes say nothing; a tile of no others is dark.
     """
     frames, height, width = spikes.shape
-    count = spike_counts(spikes)
+    good = np.ones((height, width), bool) if bad_pixels is None else ~bad_pixels
+    count = spike_counts(spikes) * good
     fired = count.astype(np.float32) / np.float32(frames)
     # A pixel whose weight changes for a moment, as chance may have it, makes nothing move.
     still = still_for >= frames
     farthest = motion.speed + np.hypot(*motion.acceleration) * np.float32(frames / 2)
     as_little = np.asarray(farthest <= farthest[still].max(initial=0), np.float32)
-    pixels = _tiles(np.ones_like(fired), np.add)
+    pixels = np.maximum(_tiles(good.astype(np.float32), np.add), 1)
     mean = _tiles(fired, np.add) / pixels
     scatter = _tiles(fired**2, np.add) - pixels * mean**2
-    # No mean is known better than to a spike: the phase of a pixel's first one is chance.
-    variance = max(noise**2, 1 / 12 / frames**2)
+    # However regular spikes are, the phase of a pixel's first one is chance: the whole number of them between x and
+    # x + 1 then has a variance of up to ¼.
+    variance = max(noise**2, 1 / 4 / frames**2)
     flat = scatter <= variance * chi2.ppf(1 - _FALSE_ALARM, np.maximum(pixels - 1, 1))
     doubt = norm.isf(_FALSE_ALARM) * np.sqrt(variance / pixels)
 
@@ -169,19 +174,20 @@ def plan_of(
 
     share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
     kind = np.full(mean.shape, int(Kind.MOVING))
-    rests = _tiles(still.astype(np.float32), np.add) >= _STILL * pixels
+    rests = _tiles((still & good).astype(np.float32), np.add) >= _STILL * pixels
     rests &= _tiles(as_little, np.minimum) > 0
     kind[rests] = Kind.STATIC
     kind[rests & flat] = Kind.UNIFORM
     kind[share < _USED] = Kind.FAST
     kind[(mean + doubt) * frames < DARK] = Kind.DARK
-    kind[mean - doubt >= SATURATED] = Kind.SATURATED
+    # One spike is of the charge that was there before the first frame.
+    kind[mean - doubt - 1 / frames >= SATURATED] = Kind.SATURATED
     return Plan(
         kind=kind,
         merged_for=_tiles(merged_for.astype(np.float32), np.minimum).astype(np.int32),
         used=share.astype(np.float32),
         scene=_scene(motion),
-        intervals=int(count.sum()) + int(np.count_nonzero(count)) + int(np.count_nonzero(count == 0)),
+        intervals=int(count.sum()) + int(np.count_nonzero(good)),
         samples=int(np.count_nonzero(used)),
     )
 

@@ -161,13 +161,14 @@ def test_merging_leaves_the_problem_as_it_is():
     np.testing.assert_allclose(one.target, every.target, atol=1e-6)
 
 
-def plan(spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 0.003):
+def plan(spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 0.003, bad_pixels=None):
     height, width = spikes.shape[1:]
     each = np.arange(height * width)
     light = np.ones(each.size, np.float32)
     merged = np.full((height, width), merged_for, np.int32)
     motion = Motion.none(height, width)
-    return plan_of(spikes, motion, merged, merged, pixel=each, light=light, used=used * light, noise=noise)
+    given = {"pixel": each, "light": light, "used": used * light}
+    return plan_of(spikes, motion, merged, merged, **given, noise=noise, bad_pixels=bad_pixels)
 
 
 def test_each_kind_of_tile_is_told():
@@ -199,6 +200,34 @@ def test_few_tiles_without_texture_are_taken_for_textured_ones():
     counts = np.clip(np.round(rng.binomial(frames, 0.5, (height, width)) + frames * stripes), 0, frames)
     spikes = (np.arange(frames)[:, None, None] < counts).astype(np.uint8)
     assert plan(spikes, frames, noise=noise).share(Kind.STATIC) == 1
+
+
+@pytest.mark.parametrize("rate", [0.25, 0.3, 0.5])
+def test_a_plain_scene_is_told_however_regular_its_spikes_are(rate):
+    """Of a pixel that fires in every second frame the number of spikes is known to half of one, not to its noise."""
+    sensor = Sensor(photons=1000.0)
+    scene = Static(np.full((128, 128), rate / sensor.white_rate))
+    spikes = simulate(scene, scale=SCALE, frames=FRAMES, sensor=sensor, seed=3).spikes
+    found = reconstruct(spikes, scale=SCALE, strength=1e-3, gain=None).plan
+    assert found is not None and found.share(Kind.UNIFORM) == 1
+
+
+def test_bad_pixels_have_no_say_in_the_plan():
+    rng = np.random.default_rng(0)
+    plain = (np.arange(64)[:, None, None] < rng.binomial(64, 0.5, (48, 48))).astype(np.uint8)
+    bad = np.zeros((48, 48), bool)
+    bad[3::8, 5::8] = True
+    for spikes, kind in ((plain, Kind.UNIFORM), (np.ones_like(plain), Kind.SATURATED)):
+        marked = np.where(bad, 0, spikes).astype(np.uint8)
+        found = plan(marked, 64, noise=1 / 16, bad_pixels=bad)
+        assert (found.kind == kind).all()
+        assert found.intervals == plan(spikes, 64, noise=1 / 16).intervals - int(spikes[:, bad].sum()) - bad.sum()
+    assert (plan(0 * plain, 64, bad_pixels=np.ones_like(bad)).kind == Kind.DARK).all()
+
+
+def test_a_few_frames_do_not_tell_saturation():
+    """A pixel of intensity 1 may fire in all of them."""
+    assert (plan(np.ones((3, 40, 40), np.uint8), 3).kind != Kind.SATURATED).all()
 
 
 @pytest.mark.parametrize(

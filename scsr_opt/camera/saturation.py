@@ -41,7 +41,7 @@ def share_saturated(
 
 def said_of(share: float) -> str:
     """In words, for people, what a share of saturated pixels above 0 means."""
-    percent = f"{100 * share:.2g} %" if share >= 1e-3 else "under 0.1 %"
+    percent = f"{100 * share:.{0 if share >= 0.1 else 1}f} %" if share >= 1e-3 else "under 0.1 %"
     return (
         f"{percent} of the pixels fired in {100 * SATURATED:g} % of the frames or more, and may have seen more light "
         f"than they can tell: brightness there is a lower bound"

@@ -112,7 +112,7 @@ def _learned(stats: dict[str, Any]) -> list[str]:
     lines = []
     if "optics_sigma" in stats:
         lines.append(f"Lens: blurs by a standard deviation of {stats['optics_sigma']:.2g} sensor pixels.")
-    if "gain_spread" in stats:
+    if stats.get("gain_spread", 0) >= 5e-4:  # less is none
         lines.append(f"Fixed pattern: gains spread by {100 * stats['gain_spread']:.2g} %.")
     if stats.get("gain_spread_at_rest"):
         told = 100 * stats["gain_spread_at_rest"]

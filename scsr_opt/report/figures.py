@@ -29,9 +29,10 @@ from scsr_opt.solvers.solution import Solution
 _INK = "#222222"
 _FAINT = "#777777"
 _ACCENT = "#c8102e"
-# Inches; a tall picture is shown smaller than there is room for, so as not to be taller than this.
+# Inches; a tall picture is shown smaller than there is room for, so as not to be taller than `_TALLEST`, and its title
+# is given `_TITLED`.
 _MARGIN, _GUTTER, _TITLE = 0.15, 0.12, 0.3
-_WIDEST, _TALLEST, _SCALE = 7.0, 12.0, 0.9
+_WIDEST, _TALLEST, _TITLED, _SCALE = 7.0, 12.0, 3.2, 0.9
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -122,11 +123,11 @@ def compare(
 
     page = 10.0 if len(pictures) < 3 else 13.0
     column = (page - 2 * _MARGIN - (len(pictures) - 1) * _GUTTER) / len(pictures)
-    column = min(column, _TALLEST * width / height)
+    across = min(column, _TALLEST * width / height)
     # All in inches from the top left corner: pictures of a known shape need no layout engine, only this sum.
     first = _MARGIN + (0.4 if title else 0.0) + _TITLE
-    second = first + column * height / width + _GUTTER
-    third = second + column * tall / wide + 2 * _GUTTER + _TITLE
+    second = first + across * height / width + _GUTTER
+    third = second + across * tall / wide + 2 * _GUTTER + _TITLE
     bottom = min(max(0.36 * page * height / width, 2.0), 3.0)
     end = third + bottom + 0.45 if solution is not None else third - 2 * _GUTTER - _TITLE + _MARGIN
     with matplotlib.rc_context(_STYLE):
@@ -135,18 +136,18 @@ def compare(
             drawn.text(_MARGIN / page, 1 - _MARGIN / end, title, va="top", fontsize=13, fontweight="bold")
         for number, (name, image) in enumerate(pictures.items()):
             x = _MARGIN + number * (column + _GUTTER)
-            whole = _axes(drawn, x, first, column, column * height / width)
+            whole = _axes(drawn, x, first, across, across * height / width)
             _picture(whole, image, white)
             whole.set_title(name, loc="left", fontsize=10)
             whole.add_patch(Rectangle((left - 0.5, top - 0.5), wide, tall, fill=False, color=_ACCENT, linewidth=1.0))
-            near = _axes(drawn, x, second, column, column * tall / wide)
+            near = _axes(drawn, x, second, across, across * tall / wide)
             _picture(near, image[top : top + tall, left : left + wide], white)
             for spine in near.spines.values():
                 spine.set(visible=True, color=_ACCENT, linewidth=1.0)
         if solution is not None:
             shape = (height // scale, width // scale)
-            across = min(bottom * width / height, 0.36 * page)
-            _motion(drawn, velocity, shape, _MARGIN, third, across)
+            of_motion = min(bottom * width / height, 0.36 * page)
+            _motion(drawn, velocity, shape, _MARGIN, third, of_motion)
             _convergence(drawn, solution, page / 2 + 0.6, third, page / 2 - 0.6 - _MARGIN, bottom)
     return drawn
 
@@ -178,7 +179,8 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
     height, width = solution.image.shape
     across = min(_WIDEST, _TALLEST * width / height)
     tall = across * height / width
-    page = 2 * _MARGIN + (_WIDEST if active is None else max(_WIDEST, 2 * across + _GUTTER + _SCALE))
+    column = max(across, _TITLED)
+    page = 2 * _MARGIN + (_WIDEST if active is None else max(_WIDEST, column + _GUTTER + across + _GUTTER + _SCALE))
     lines = plan.lines() + ([] if active is None else active.lines())
     shown = [kind for kind in Kind if plan.share(kind) > 0]
     top = _MARGIN + (_TITLE if title or active is not None else 0)
@@ -192,13 +194,14 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
         _tiled(axes, solution.image, colours, plan.tile * scale)
         axes.set_title(title or "What each tile asks for", loc="left", fontsize=10)
         if active is not None:
-            beside = _axes(drawn, _MARGIN + across + _GUTTER, top, across, tall)
+            x = _MARGIN + column + _GUTTER
+            beside = _axes(drawn, x, top, across, tall)
             iterations = active.whole + active.alone
             range_ = Normalize(active.whole, max(int(iterations.max()), active.whole + 1))
             shades = matplotlib.colormaps["viridis"](range_(iterations), alpha=0.5 * (active.alone > 0))
             _tiled(beside, solution.image, shades, active.tile)
             beside.set_title(f"Iterations: {active.whole}, and more where coloured", loc="left", fontsize=10)
-            bar = _axes(drawn, _MARGIN + 2 * (across + _GUTTER), top, 0.15, tall)
+            bar = _axes(drawn, x + across + _GUTTER, top, 0.15, tall)
             drawn.colorbar(ScalarMappable(range_, "viridis"), cax=bar, alpha=0.75)
         below = _axes(drawn, _MARGIN, top + tall, page - 2 * _MARGIN, 0.2 * (len(lines) + 1))
         below.set_axis_off()

@@ -35,6 +35,7 @@ def test_bad_pixels_mean_nothing():
 
 def test_a_small_share_is_said():
     assert said_of(1e-5).startswith("under 0.1 % of the pixels") and said_of(0.5).startswith("50 % of the pixels")
+    assert said_of(1.0).startswith("100 % of the pixels") and said_of(0.0123).startswith("1.2 % of the pixels")
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,9 @@ def test_a_narrow_picture_fits_on_a_page(solution):
     narrow = dataclasses.replace(solution, image=np.full((400, 4), 0.5, np.float32), motion=None)
     drawn = figure(np.ones((5, 100, 1), np.uint8), narrow, scale=4)
     assert drawn.get_size_inches()[1] < 30
+    drawn.draw_without_rendering()
+    first, second = (axes.get_tightbbox() for axes in (drawn.axes[0], drawn.axes[2]))
+    assert first is not None and second is not None and first.x1 < second.x0  # with their titles
 
 
 def test_figures_leave_pyplot_alone(spikes, solution):

@@ -64,7 +64,7 @@ _MARGIN, _STEP, _WORTH = 24, 16, 0.85
 # Where work is skipped and the pictures have so many pixels, motions are compared on a sparse grid of them. It told the
 # mean mismatch to 0.3 % on a car before 400×250 pixels, and to 2 % on pictures of 60×60, where that decided between two
 # and three layers: 0.2 dB.
-_MANY = 40_000
+_MANY = 10_000
 
 
 # Bad pixels are heard where so large a share of those around them is good, by a Gaussian of so many sensor pixels.

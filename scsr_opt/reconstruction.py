@@ -84,6 +84,7 @@ def reconstruct(
     - `skip`: leave out the work that this scene does not need (`scsr_opt.skip`). False does all of it, for comparison:
       motion of every kind over the whole sensor, every interval as a sample of its own with as many positions along
       it as any of them needs, gains of all pixels, iterations of the whole picture until its last tile is finished.
+      Where two motions explain a recording about equally well, each way may settle on another (2 of 48 recordings).
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.

@@ -62,7 +62,7 @@ _WORSE = 1.01
 # they make up no more than this share of the sensor.
 _MARGIN, _STEP, _WORTH = 24, 16, 0.85
 # Where work is skipped and the pictures have so many pixels, motions are compared on a sparse grid of them. It told the
-# mean mismatch to 0.3 % on a car before 400×250 pixels, and to 2 % on pictures of 60×60, where that decided between two
+# mean mismatch to 0.3 % on a car (400×250 pixels), and to 2 % on pictures of 60×60, where that decided between two
 # and three layers: 0.2 dB.
 _MANY = 10_000
 

@@ -38,6 +38,8 @@ _NEAR = 30.0
 # And in each tile if it is less than so many: what is far in one place alone is lost in a whole picture
 # (docs/measurements.md).
 _NEAR_IN_TILE = 40.0
+# The share of the rows of tiles, at most, that work is done in apart from the others.
+_FEW_ROWS = 0.5
 # How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
 # there. With all of the change pictures as good took half as much again, or did not come to an end
 # (docs/measurements.md).
@@ -186,7 +188,10 @@ class _Exposures:
             far = away > _NEAR_IN_TILE / 2 * tolerance
         ahead = image if self._last is None else image + _AHEAD * (image - self._last)
         self._last = image
-        return self.touching(ahead) if far is None or not self._skip else self._touching_in(far, ahead)
+        # Pieces are told apart by rows: where tiles in most of these are far, hardly any would be left out.
+        if far is None or not self._skip or far.any(1).mean() > _FEW_ROWS:
+            return self.touching(ahead)
+        return self._touching_in(far, ahead)
 
     def touching(self, image: Float[Array, "H W"]) -> Problem:
         """The problem with the quadratic that touches the true data term at `image`."""

@@ -143,7 +143,7 @@ class _Part:
 
     def missed(self) -> Float[Array, "2"]:
         """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
-        return _missed(self._placed, self._held, self._plain.blurred(self.image))
+        return _missed(self._placed, self._held, self._plain, self.image)
 
 
 def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
@@ -354,9 +354,11 @@ def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) ->
 
 
 @eqx.filter_jit
-def _missed(placed: PlacedSamples, held: Float[Array, " n"], blurred: Float[Array, "H W"]) -> Float[Array, "2"]:
-    """Sums of the weighted squares by which the blurred picture misses the held-out samples, and of their weights."""
-    error = placed.read(blurred) - placed.value
+def _missed(
+    placed: PlacedSamples, held: Float[Array, " n"], term: DataTerm, image: Float[Array, "H W"]
+) -> Float[Array, "2"]:
+    """Sums of the weighted squares by which a picture misses the held-out samples, and of their weights."""
+    error = placed.read(term.blurred(image)) - placed.value
     return jnp.stack([jnp.sum(held * error**2), jnp.sum(held)])
 
 

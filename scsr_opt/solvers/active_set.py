@@ -20,7 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.ndimage import maximum_filter
 
 from scsr_opt.operators.aperture import Aperture
@@ -154,7 +154,7 @@ def _run(
             result = Result.iterations_exhausted
             break
         if active.any() and skip and visits < _VISITS:
-            state, took = _on_tiles(steps, current, state, active, limit, min(left() - 1, _MOST))
+            state, took = _on_tiles(steps, current, state, np.where(active, slopes, 0), limit, min(left() - 1, _MOST))
             before, alone = int(alone.max()), alone + took
             visits, stale, worst = visits + 1, True, float("nan")
             if progress is not None:
@@ -232,16 +232,18 @@ def _on_tiles(
     solver: Solver,
     problem: Problem,
     state: ProximalGradientState,
-    active: Bool[np.ndarray, "rows columns"],
+    slopes: Float[np.ndarray, "rows columns"],
     limit: float,
     most: int,
 ) -> tuple[ProximalGradientState, Int[np.ndarray, "rows columns"]]:
-    """Iterations of active tiles, up to `most` of each: the state, of which picture and dual variables are up to date,
-    and how many."""
-    tiles = np.argwhere(active)
+    """Iterations of the tiles that have slopes, up to `most` of each: the state, of which picture and dual variables
+    are up to date, and how many."""
+    # Steepest first, so that those that go on for as long are in one batch.
+    order = np.argsort(-slopes, axis=None, kind="stable")[: np.count_nonzero(slopes)]
+    tiles = np.stack(np.unravel_index(order, slopes.shape), axis=1)
     colour = tiles[:, 0] % 2 * 2 + tiles[:, 1] % 2
     # Of one length whatever is active. What a batch is filled up with lies outside the picture, where nothing is done.
-    batches, filled = np.full((-(-active.size // _BATCH) + 4, _BATCH, 2), -1, np.int32), 0
+    batches, filled = np.full((-(-slopes.size // _BATCH) + 4, _BATCH, 2), -1, np.int32), 0
     for own in (tiles[colour == number] for number in range(4)):
         needed = -(-len(own) // _BATCH)
         batches[filled : filled + needed].reshape(-1, 2)[: len(own)] = own
@@ -249,7 +251,7 @@ def _on_tiles(
     image, prior, took = _batches(
         solver, problem, state, batches, np.int32(filled), np.float32(_WITHIN * limit), np.int32(most)
     )
-    iterations, used = np.zeros(active.shape, int), batches[..., 0] >= 0
+    iterations, used = np.zeros(slopes.shape, int), batches[..., 0] >= 0
     iterations[tuple(batches[used].T)] = np.asarray(took)[used]
     return state._replace(image=image, prior=prior), iterations
 

@@ -80,9 +80,9 @@ STEPS = dataclasses.replace(FISTA(), iterations=1, tolerance=0.0)
 
 
 def one_tile(row: int, column: int) -> np.ndarray:
-    active = np.zeros((3, 4), bool)
-    active[row, column] = True
-    return active
+    slopes = np.zeros((3, 4), np.float32)
+    slopes[row, column] = 1
+    return slopes
 
 
 def pixels(row: int, column: int) -> tuple[slice, slice]:
@@ -130,7 +130,7 @@ def test_tiles_are_iterated_as_a_whole_picture_whose_other_pixels_are_held(probl
 def test_the_objective_falls_with_each_turn_of_tiles(problem, rough):
     state, before = rough.state, objective(problem, rough.image)
     for turn in range(3):
-        state, took = module._on_tiles(STEPS, problem, state, np.ones((3, 4), bool), 1e-4, 40)
+        state, took = module._on_tiles(STEPS, problem, state, np.ones((3, 4), np.float32), 1e-4, 40)
         after = objective(problem, state.image)
         assert after <= before * (1 + 1e-6)  # rounding of float32
         assert turn or after < before
@@ -194,8 +194,8 @@ def test_what_is_not_finite_ends_it(problem, start, rough, monkeypatch):
     assert run_active(FISTA(), wrong, start).result is Result.non_finite
 
     # And where tiles make it so: the picture before them is what is left.
-    def spoilt(solver, problem, state, active, *limits):
-        return state._replace(image=state.image * jnp.nan), 1 * active
+    def spoilt(solver, problem, state, slopes, *limits):
+        return state._replace(image=state.image * jnp.nan), np.sign(slopes).astype(int)
 
     monkeypatch.setattr(module, "_on_tiles", spoilt)
     found = run_active(FISTA(), problem, start)

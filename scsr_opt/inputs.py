@@ -47,6 +47,13 @@ def prior_strength(strength: SupportsFloat, name: str = "strength") -> float:
     return number(strength, name, lambda v: 0 <= v <= _STRONGEST, f"from 0 to {_STRONGEST:g}")
 
 
+def flag(value: object, name: str) -> bool:
+    """`value` as a bool. **Raises:** `InputError` for anything else, as "no" would be true."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} is {value!r}; it must be True or False.")
+    return bool(value)
+
+
 def check_type(value: object, kind: type, name: str, example: str) -> None:
     """**Raises:** `InputError` if `value` is neither None nor a `kind`, with an `example` of one."""
     if value is not None and not isinstance(value, kind):

@@ -186,8 +186,8 @@ def measured(
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
     - `merge`: whether intervals are merged where nothing moves, up to `longest` frames if given, and where a pixel is
-      saturated; the picture is the same, but for long intervals that are cut (`scsr_opt.cutting`), which merged ones
-      are not. Windows are not merged.
+      saturated; by squares the picture is the same, but for long intervals that are cut (`scsr_opt.cutting`), which
+      merged ones are not. Windows are not merged.
     - `on_sensor`: whether samples of a scene in which nothing moves at all are placed on the sensor's grid alone
       (`PlacedSamples`).
     """
@@ -199,12 +199,13 @@ def measured(
     fastest = speeds.most
     still_for = merged_for = np.ones((height, width), np.int32)
     run = 1
-    if merge and isinstance(measuring, Intervals):
+    if merge:
         with np.errstate(divide="ignore", over="ignore"):
             still = _MERGED_MOTION / (scale * fastest)
             steady = _MERGED_CHANGE / unsteady.most
-        most = frames if longest is None else min(longest, frames)
         still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
+    if merge and isinstance(measuring, Intervals):
+        most = frames if longest is None else min(longest, frames)
         worthwhile = longest is not None or np.mean(still_for >= _MERGED_LONG) >= _MERGED_SHARE
         merged_for = np.minimum(still_for, most) if worthwhile else merged_for
         run = np.asarray(_runs(path))

@@ -16,7 +16,7 @@ from scsr_opt.camera.gain_network import gain_at_rest
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.inputs import check_type, picture_shape, pixel_gain, prior_strength, whole
+from scsr_opt.inputs import check_type, flag, picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
 from scsr_opt.motion.handed_in import checked, given
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
@@ -72,7 +72,7 @@ class Asked:
 
     **Fields:** as the options, but for `gain`: "auto" or "blind" where gains are looked for, None where they are known;
     `lens`: None until "estimate" has found one; `estimator`: None where a motion was handed in; `validates`: whether
-    the strength is looked for.
+    the strength is looked for; `one_by_one`: whether no measurements are merged, as each is to be judged.
     """
 
     stream: Stream
@@ -84,6 +84,7 @@ class Asked:
     refine: int
     skip: bool
     validates: bool
+    one_by_one: bool
 
     def estimated(self, gain: Float[np.ndarray, "h w"] | None) -> Motion:
         """The motion, by the estimator."""
@@ -105,6 +106,8 @@ class Asked:
         self, motion: Motion, gain: Float[np.ndarray, "h w"] | None, path: Trajectory | None = None
     ) -> Measurements:
         """The measurements along a motion; `path`: as `followed`, where that is at hand."""
+        # Where strengths are not tried, nothing has to stay in pieces for that.
+        longest = longest_merged(self.stream, motion, self.scale, self.lens) if self.validates else None
         return measured(
             self.stream,
             self.followed(motion) if path is None else path,
@@ -112,8 +115,7 @@ class Asked:
             measuring=self.measuring,
             gain=gain,
             merge=self.skip,
-            # Where strengths are not tried, nothing has to stay in pieces for that.
-            longest=longest_merged(self.stream, motion, self.scale, self.lens) if self.validates else None,
+            longest=1 if self.one_by_one else longest,
             on_sensor=self.skip and not self.refine,
         )
 
@@ -223,7 +225,7 @@ def prepare(
     clock = Clock()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     height, width = recording.height, recording.width
-    scale = whole(scale, "scale", 1)
+    scale, skip = whole(scale, "scale", 1), flag(skip, "skip")
     shape = picture_shape(recording, scale)
     check_type(samples, Measuring, "samples", "Intervals()")
     check_type(prior, Prior, "prior", "HuberTotalVariation()")
@@ -254,6 +256,8 @@ def prepare(
         skip=skip,
         # Outliers that were held out would decide.
         validates=strength is None and robust is None,
+        # A mean of intervals hides the outlier among them.
+        one_by_one=robust is not None,
     )
     clock.lap("reading")
 

@@ -68,11 +68,15 @@ class Kind(enum.IntEnum):
 
 # Where nothing moves, and why its measurements may not be merged all the same.
 _AT_REST = "nothing moves: no motion, and a pixel's intervals are merged into one"
-_APART = "nothing moves: no motion, but as so small a picture, or so little at rest, gains little, nothing is merged"
+_APART = (
+    "nothing moves: no motion, but nothing is merged: so small a picture, or so little at rest, gains little by it, "
+    "windows never are, and a robust loss judges each interval"
+)
 _REASONS = {
     Kind.STATIC: _AT_REST,
     Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
-    Kind.MOVING: "moves or changes, or its spikes look like it: every interval is placed on its own",
+    Kind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while it "
+    "hardly moves, or in runs where it fires in every frame",
     Kind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
     Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",

@@ -1,6 +1,7 @@
 """What is skipped is not missed: scenes made to fool it, each beside the full computation."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,12 +9,14 @@ import pytest
 from skimage import data
 
 from scsr_opt import Solution, reconstruct
-from scsr_opt.camera import Intervals, Sensor, simulate
+from scsr_opt.camera import Intervals, Sensor, Windows, simulate
 from scsr_opt.camera.saturation import SATURATED
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
 from scsr_opt.demo import psnr
 from scsr_opt.errors import InputError
+from scsr_opt.inputs import flag
 from scsr_opt.motion import Motion, estimate_motion
+from scsr_opt.operators import Huber, Welsch
 from scsr_opt.operators.sampling import accumulate
 from scsr_opt.placing import Stream, measured
 from scsr_opt.priors import default_prior
@@ -60,10 +63,14 @@ SCENES = {
     "faint object": faint,
     "object smaller than a tile": lambda: MovingObject(WALL, BRICK, (0.2, 0.5), shape=Box(18.0, 18.0)),
     "flicker": lambda: Changing(lambda t: WALL * (0.9 + 0.1 * np.sin(2 * np.pi * t / 40))),
+    "lamp at 100 Hz": lambda: Changing(lambda t: WALL * 0.66 * (1 + 0.2 * np.sin(2 * np.pi * (t - KEY) / 400))),
     "slow drift": lambda: Translation(WALL, velocity=(0.0, 0.01 * SCALE)),
     "object that appears": lambda: Changing(appearing),
     "hot pixel": lambda: Static(WALL),
 }
+
+
+RESTING = "flicker", "lamp at 100 Hz", "hot pixel"
 
 
 def all_of(name: str) -> tuple[Stream, np.ndarray, Solution, list[Solution]]:
@@ -99,6 +106,22 @@ def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
         assert np.abs(change).max() < 1 / 255
         assert np.array_equal(full.velocity, np.asarray(solution.velocity))
         assert objective(solution) < objective(full) * 1.001
+    if name in RESTING:  # both ways could be fooled
+        assert not full.velocity.any()
+
+
+def test_tiles_are_left_alone_beside_an_object_smaller_than_one():
+    """At ×4, where the default prior couples near pixels only: of 9 tiles 3 are gone on with."""
+    wall, brick = data.gravel()[100:420, 60:380] / 255, data.brick()[:120, :120] / 255
+    scene = MovingObject(wall, brick, (0.4, 1.0), shape=Box(36.0, 36.0))
+    made = simulate(scene, scale=4, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
+    full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
+    assert full.active is not None and skipping.active is not None
+    assert not full.active.alone.any() and 0 < np.count_nonzero(skipping.active.alone) < skipping.active.alone.size
+    truth, side = made.truth(KEY), TILE * 4
+    assert psnr(truth, skipping.image, 16) > psnr(truth, full.image, 16) - 0.03
+    change = (skipping.image - full.image).reshape(320 // side, side, 320 // side, side).mean((1, 3))
+    assert np.abs(change).max() < 1 / 255
 
 
 def test_what_is_still_is_told_and_merged_beside_what_moves():
@@ -125,6 +148,38 @@ def test_the_pixels_that_tell_of_a_fixed_pattern_are_no_pattern():
         assert some.sum() == 400
         # Of 400 by chance half lie in every second column: six standard deviations.
         assert abs(int(some[:, ::2].sum()) - 200) < 60 and abs(int(some[::2].sum()) - 200) < 60
+
+
+def test_windows_of_what_rests_are_told_to_rest():
+    spikes = simulate(Static(WALL), scale=SCALE, frames=FRAMES, seed=3).spikes
+    plan = reconstruct(spikes, scale=SCALE, samples=Windows(7), strength=0.01).plan
+    assert plan is not None and plan.share(Kind.STATIC) + plan.share(Kind.UNIFORM) == 1
+    assert any("nothing is merged" in line for line in plan.lines())
+
+
+@pytest.mark.parametrize("loss", [Huber(), Welsch()])
+def test_a_robust_loss_judges_the_same_intervals(loss):
+    """Of a scene at rest whose light drops for 15 frames in a part of it: merged, they would be one mean."""
+
+    def dimmed(t: float) -> np.ndarray:
+        picture = WALL.copy()
+        if 30 <= t < 45:
+            picture[60:100, 60:100] *= 0.2
+        return picture
+
+    spikes = simulate(Changing(dimmed), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=2).spikes
+    given: dict[str, Any] = {"scale": SCALE, "velocity": (0.0, 0.0), "strength": 0.002, "robust": loss}
+    full, skipping = (reconstruct(spikes, **given, skip=skip).image for skip in (False, True))
+    side = TILE * SCALE
+    change = (skipping - full).reshape(160 // side, side, 160 // side, side).mean((1, 3))
+    assert np.abs(change).max() < 1 / 255
+
+
+def test_skip_is_yes_or_no():
+    assert flag(np.True_, "skip") is True and flag(False, "skip") is False
+    for value in ("no", 1, None, np.array([True, False])):
+        with pytest.raises(InputError, match="skip is .* True or False"):
+            flag(value, "skip")
 
 
 def test_a_recording_that_shows_nothing_has_a_plan_too():

@@ -88,6 +88,8 @@ def solve(
     if report is not None:
         said.write(report)
     if not solution.result.good:
+        if explain and not quiet:
+            print("\n".join(_explained(solution)))
         say_failure("No picture was written", solution.result.sentence)
         return 1
     _write(output, solution, bits=bits, gamma=gamma, scale=scale, key=moment)
@@ -124,16 +126,23 @@ def _explained(solution: Any) -> list[str]:
     if solution.plan is None:
         return ["Nothing was skipped."]
     parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.stats["seconds"].items())
-    # Of the whole picture; of the measurements as they were merged.
-    left = [
-        f"One more iteration with these measurements would change the picture by {100 * stage.residual:.1g} % at most."
-        for stage in solution.stages[-1:]
-    ]
+    left = [_left(solution.result, stage.residual, solution.stats["positions"]) for stage in solution.stages[-1:]]
     if solution.stats.get("solver") == "DataProximal":
         left.insert(0, "Solver: data-proximal; no pixel's block overlaps another's, so steps along the data are exact.")
     if solution.active is not None:
         left.extend(solution.active.lines())
     return [*solution.plan.lines(), *left, f"Time: {parts}."]
+
+
+def _left(result: Any, residual: float, positions: int) -> str:
+    """What the last iteration of the whole picture says of the next one."""
+    from scsr_opt.solvers import Result
+
+    if result is not Result.converged:
+        return f"The last iteration of the whole picture changed it by {100 * residual:.1g} %."
+    # A quadratic stands in for what exposures have seen move (`scsr_opt.rounds`).
+    held = "measurements, exposures corrected as they were last," if positions > 1 else "measurements"
+    return f"One more iteration with these {held} would change the picture by {100 * residual:.1g} % at most."
 
 
 def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> None:

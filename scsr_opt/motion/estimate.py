@@ -67,6 +67,13 @@ _MARGIN, _STEP, _WORTH = 24, 16, 0.85
 _MANY = 10_000
 
 
+# Pixels that tell the light of a moment: those of so large a share of the mean intensity, about so many of them.
+_LIT, _LOOKED_AT = 0.1, 4000
+# How much it has to change within the recording for the pictures to be looked at without it, and the share of what
+# contradicted rest that may do so then, if the scene rests: 0.02 at most where lamps flickered by 10 to 30 %, and half
+# or more of pans and turns in which the light seems to change, by up to 12 % (docs/measurements.md).
+_FLICKER, _LEFT = 0.02, 0.05
+
 # Bad pixels are heard where so large a share of those around them is good, by a Gaussian of so many sensor pixels.
 _FILLED_FROM, _FILLED_SHARE = 2.0, 0.2
 
@@ -131,6 +138,7 @@ class Automatic(Estimator):
         still = Motion.none(*pictures.picture.shape[1:])
         moving, resting = at_rest(pictures)
         rests = bool(moving.mean() <= TOLERATED_AT_REST) and not moves_as_one(pictures)
+        rests = rests or _flickers(pictures, moving.mean())
         if self.skip and rests:
             return still, True
         several = _takes_several(resting, moving)
@@ -149,6 +157,33 @@ class Automatic(Estimator):
         background, unexplained = (whole, left) if of_whole else (still, moving)
         richer = _apart(pictures, background, unexplained, self.skip)
         return (still, True) if rests else (whole, True) if serves else (richer, False)
+
+
+def _flickers(pictures: Stretches, contradicting: float) -> bool:
+    """Does so large a share of the pixels contradict rest because the light changes? Lamps flicker at 100 Hz, by a few
+    percent within 100 frames, and what gets brighter as a whole looks to each window as if it moved."""
+    even = evenly_lit(pictures)
+    if even is None:
+        return False
+    left = at_rest(even)[0].mean()
+    return bool(left <= min(_TOLERATED_GLOBAL, _LEFT * contradicting)) and not moves_as_one(even)
+
+
+def evenly_lit(pictures: Stretches) -> Stretches | None:
+    """The pictures divided by the light of their moment, the median of the ratios of their pixels to the mean picture;
+    None where it hardly changes (`_FLICKER`). Where something moves the median may follow that, so that nothing but
+    rest is to be asked of them."""
+    shown = np.asarray(pictures.picture)
+    mean = shown.mean(0)
+    some = np.argwhere(mean > _LIT * mean.mean())
+    some = tuple(some[:: max(1, len(some) // _LOOKED_AT)].T)
+    if not some[0].size:
+        return None
+    light = np.median(shown[:, *some] / mean[some], axis=1)
+    if np.ptp(light) < _FLICKER * np.median(light):
+        return None
+    light = np.maximum(light, _LIT * light.max())
+    return Stretches(pictures.picture / jnp.asarray(light)[:, None, None], pictures.after, pictures.firing)
 
 
 def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:

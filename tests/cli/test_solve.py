@@ -47,7 +47,7 @@ def test_solve_is_silent_when_asked(scsr, file, asked):
 def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     plan = Plan(np.array([[0, 2, 2]]), np.array([[31, 1, 1]]), np.ones((1, 3), np.float32), "2 layers", 500, 200)
     stages = (Stage(1, 1.0, 0.5, 0.5, 2e-4, 1.0),)
-    stats = {"seconds": {"motion": 0.5}, "solver": "DataProximal"}
+    stats = {"seconds": {"motion": 0.5}, "solver": "DataProximal", "positions": 1}
     solution = Solution(np.zeros((48, 80), np.float32), stages, Result.converged, stats, plan=plan)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
@@ -62,12 +62,16 @@ def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
     plan = Plan(np.array([[2, 2]]), np.array([[1, 1]]), np.ones((1, 2), np.float32), "2 layers", 500, 500)
     active = Active(7, np.array([[0, 12]]), 64, 8e-4, 1e-3)
     stages = (Stage(1, 1.0, 0.5, 0.5, 5e-5, 1.0),)
-    image, stats = np.zeros((48, 80), np.float32), {"seconds": {"motion": 0.5}, "active": active.numbers}
+    image, stats = (
+        np.zeros((48, 80), np.float32),
+        {"seconds": {"motion": 0.5}, "active": active.numbers, "positions": 5},
+    )
     solution = Solution(image, stages, Result.converged, stats, plan=plan, active=active)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     given = ("--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png", "--report", "a.json")
     said = scsr("solve", file, *given)
     assert "Iterations: 7 of the whole picture; 1 of its 2 tiles were gone on with, up to 12 more" in said
+    assert "exposures corrected as they were last, would change the picture by 0.005 % at most." in said
     assert "One more would change no tile by more than 0.08 % of the picture's level (asked: 0.1 %)." in said
     told = json.loads(Path("a.json").read_text())["stats"]["active"]
     assert told == {"tiles": 2, "gone_on_with": 1, "most_iterations": 19, "worst": 8e-4, "limit": 1e-3}

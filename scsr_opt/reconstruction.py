@@ -77,7 +77,7 @@ def reconstruct(
     - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
     - `strength`: λ; if not given, the one that predicts intervals which were held out
       (`validated_strength`), or, with a robust loss, by their noise. `PlugAndPlay` needs one.
-    - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting.
+    - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting. No intervals are merged then.
     - `solver`: if not given, `FISTA`, or where nothing moves `DataProximal` (`default_solver`). Its limit of iterations
       holds for the whole solve, corrections of exposures included; with `robust`, for each of up to eleven rounds.
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.

@@ -109,7 +109,8 @@ class Dense(Estimator):
 
 
 class Automatic(Estimator):
-    """The simplest motion that the recording does not contradict: none, one motion for all, or layers.
+    """The simplest motion that the recording does not contradict: none, one motion for all, or layers. A scene whose
+    light flickers as a whole is one in which nothing moves.
 
     Few numbers are estimated far better than many, so the richer ones are used only where they are needed. Where the
     key frame lies at one end of the recording, what moves apart is looked for from its middle as well.

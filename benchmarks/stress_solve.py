@@ -58,11 +58,14 @@ class Picture(NamedTuple):
 
 def ends_well(finding: Finding, image: np.ndarray, result: str, good: bool, objectives: tuple[float, ...]) -> None:
     """A picture is finite in any case; with a good result so is everything that is said about it. Only where the step
-    is above its bound or the first picture is absurd may a solve fail."""
+    is above its bound, the first picture is absurd, or M was rounded to what no solve can end with, may it fail."""
     finding.outcome = result
     finite = bool(np.isfinite(image).all())
     long = (finding.case.step or 0) > 1 and finding.case.solver in BOUNDED_STEPS
-    may_fail = good or result == "no_samples" or long or finding.case.start in ABSURD
+    # F ≥ 0, as long as M has no negative eigenvalue; with one F has no minimum, unless Ψ holds the picture.
+    fallen = min((value for value in objectives if value < 0), default=0.0)
+    unbounded = finding.case.precision == "bfloat16" and fallen < -abs((*objectives, 0.0)[0])
+    may_fail = good or result == "no_samples" or long or unbounded or finding.case.start in ABSURD
     finding.checks["ends well"] = finite and may_fail and (not good or all(math.isfinite(v) for v in objectives))
     if objectives:
         finding.numbers["objective"] = objectives[-1]

@@ -145,6 +145,16 @@ def test_what_ends_well(image, good, objective, step, holds):
     assert finding.checks == {"ends well": holds}
 
 
+@pytest.mark.parametrize(
+    ("precision", "last", "holds"),
+    [("bfloat16", -2.0, True), ("bfloat16", -0.5, False), ("bfloat16", math.nan, False), ("float32", -2.0, False)],
+)
+def test_rounded_data_may_have_no_minimum(precision, last, holds):
+    finding = stress_solve.Finding(dataclasses.replace(ORDINARY, precision=precision))
+    stress_solve.ends_well(finding, np.zeros((2, 2)), "non_finite", False, (1.0, last, math.nan))
+    assert finding.checks == {"ends well": holds}
+
+
 def test_refusals_are_expected_or_faults(monkeypatch):
     refused = stress_run.examine(Case("", solver="LBFGS", prior="TV"))
     assert refused.outcome == "refused" and refused.passed and "has kinks" in refused.said

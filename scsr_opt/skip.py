@@ -68,10 +68,7 @@ class Kind(enum.IntEnum):
 
 # Where nothing moves, and why its measurements may not be merged all the same.
 _AT_REST = "nothing moves: no motion, and a pixel's intervals are merged into one"
-_APART = (
-    "nothing moves: no motion, but nothing is merged: so small a picture, or so little at rest, gains little by it, "
-    "windows never are, and a robust loss judges each interval"
-)
+_APART = "nothing moves: no motion, but nothing is merged: it gains little here, or each measurement is to be judged"
 _REASONS = {
     Kind.STATIC: _AT_REST,
     Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",

@@ -163,17 +163,17 @@ class Automatic(Estimator):
 def _flickers(pictures: Stretches, contradicting: float) -> bool:
     """Does so large a share of the pixels contradict rest because the light changes? Lamps flicker at 100 Hz, by a few
     percent within 100 frames, and what gets brighter as a whole looks to each window as if it moved."""
-    even = evenly_lit(pictures)
+    even = _evenly_lit(pictures)
     if even is None:
         return False
     left = at_rest(even)[0].mean()
     return bool(left <= min(_TOLERATED_GLOBAL, _LEFT * contradicting)) and not moves_as_one(even)
 
 
-def evenly_lit(pictures: Stretches) -> Stretches | None:
-    """The pictures divided by the light of their moment, the median of the ratios of their pixels to the mean picture;
-    None where it hardly changes (`_FLICKER`). Where something moves the median may follow that, so that nothing but
-    rest is to be asked of them."""
+def _evenly_lit(pictures: Stretches) -> Stretches | None:
+    """The pictures, intensity, divided by the light of their moment, the median ratio of their pixels to the mean
+    picture; None where it hardly changes (`_FLICKER`). Where something moves the median may follow that, so that
+    nothing but rest is to be asked of them."""
     shown = np.asarray(pictures.picture)
     mean = shown.mean(0)
     some = np.argwhere(mean > _LIT * mean.mean())
@@ -181,7 +181,7 @@ def evenly_lit(pictures: Stretches) -> Stretches | None:
     if not some[0].size:
         return None
     light = np.median(shown[:, *some] / mean[some], axis=1)
-    if np.ptp(light) < _FLICKER * np.median(light):
+    if np.ptp(light) <= _FLICKER * np.median(light):  # nor where there is none
         return None
     light = np.maximum(light, _LIT * light.max())
     return Stretches(pictures.picture / jnp.asarray(light)[:, None, None], pictures.after, pictures.firing)

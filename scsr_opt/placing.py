@@ -33,8 +33,9 @@ _MERGED_CHANGE = 0.25
 # while something comes into view or is hidden, and a run that leaves the picture is lost as a whole.
 _STEADY = 0.125
 # Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
-# through an aperture of one, and of that they miss no more than 0.003 (docs/data-term.md, "Exposures").
-_POSITIONS, _REACHES = (5, 3, 2, 1), (1.2, 0.5, 0.2)
+# through an aperture of one, and of that they miss no more than 0.0013 (docs/data-term.md, "Exposures"). λ hears it
+# where they miss 0.003: 0.09 dB on a still that pans.
+_POSITIONS, _REACHES = (5, 3, 2, 1), (0.7, 0.5, 0.1)
 # How far what a pixel sees may move during a run of intervals of one frame that is merged: five positions then lie 3/8
 # of a sensor pixel apart.
 _FARTHEST = 1.875
@@ -95,7 +96,8 @@ def stream_around(
 
 
 def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
-    """X^(0): the rate over 21 frames around the key frame, enlarged."""
+    """X^(0): the rate over 21 frames around the key frame, enlarged by Lanczos' interpolation: what lies between sensor
+    pixels is found slowly, and a sharp start has some of it (docs/measurements.md)."""
     frames, bad = len(stream.spikes), stream.bad_pixels
     if frames > 1:
         edges = np.clip(np.array([stream.key - 10.0, stream.key + 10.0]), 0, frames - 1)
@@ -105,7 +107,7 @@ def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]
     picture = jnp.asarray(rate, jnp.float32)
     if bad is not None and bad.any():
         picture = filled(picture, ~bad)
-    return jax.image.resize(picture[0], shape, "linear")
+    return jax.image.resize(picture[0], shape, "lanczos3")
 
 
 class Measurements(NamedTuple):

@@ -8,6 +8,7 @@ picture made from the others has to predict them.
 """
 
 import dataclasses
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -107,8 +108,9 @@ def noise_of_mean(stream: Stream) -> float:
 
 
 class Validated(NamedTuple):
-    """A strength λ, and the last picture that was made to find it, (H, W), intensity: a start much nearer to the
-    solution than playback. None where that is of a part of the sensor only, or not finite."""
+    """A strength λ, and of the pictures that were made to find it that of the strength nearest to it, (H, W),
+    intensity: a start much nearer to the solution than playback. None where that is of a part of the sensor only, or
+    not finite."""
 
     strength: float
     image: Float[Array, "H W"] | None
@@ -225,6 +227,8 @@ def validated_strength(
     stand_in = HuberTotalVariation() if learned else prior
     share = relative_strength(prior) / relative_strength(stand_in)
     tried: dict[float, float] = {}
+    pictures: dict[float, Float[Array, "H W"]] = {}
+    whole = parts[0].image.shape == image.shape
 
     in_threads(lambda part: part.expose(solver, stand_in, least / share), parts)
 
@@ -232,6 +236,8 @@ def validated_strength(
         if factor not in tried:
             squares, weights = np.sum(in_threads(partial(_misses, solver, stand_in, least * factor / share), parts), 0)
             tried[factor] = float(squares / weights)
+            if whole:
+                pictures[factor] = parts[0].image
         return tried[factor]
 
     best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
@@ -242,11 +248,11 @@ def validated_strength(
     best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
     by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in found]))
     beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
+    near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / (beyond * best))))] if whole else None
+    near = near if near is not None and bool(jnp.isfinite(near).all()) else None
     if learned:
         best = _STAND_IN[0] * best ** _STAND_IN[1]
-    last = parts[0].image
-    usable = last.shape == image.shape and bool(jnp.isfinite(last).all())
-    return Validated(least * max(at_least, beyond * best), last if usable else None)
+    return Validated(least * max(at_least, beyond * best), near)
 
 
 def _chosen(

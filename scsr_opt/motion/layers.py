@@ -75,13 +75,15 @@ def layered(
     total: int,
     *,
     skip: bool = True,
+    sparse: bool = False,
 ) -> list[Motion]:
     """The scene as layers: `background`, further affine motions where that is contradicted, and the dense estimate
     `everywhere` where these do not explain enough.
 
     **Arguments:** `moving`: where `background` is contradicted; `total`: sensor pixels, of which the pictures may be a
     part: what lies outside is background; `skip`: whether a region that its first fit explains is fitted no more, and
-    fits begin with a part of their points.
+    its fits begin with a part of their points; `sparse`: whether one row and column in two tell which layer is in front
+    and whether a last fit is the better one, which then begins with a part of its points, too.
 
     **Returns:** motions with `layers` to choose from, or `background` alone if nothing else was found. Along the edges
     of something that moves, the dense estimate takes what it uncovers for another surface; so there is one without it.
@@ -95,7 +97,7 @@ def layered(
     numbers = [len(motions)]
     if len(motions) > 2 and motions[-1] is everywhere:
         numbers.insert(0, len(motions) - 1)
-    return in_threads(lambda n: _layers(pictures, motions[:n], mismatches[:n], everywhere, skip=skip), numbers)
+    return in_threads(lambda n: _layers(pictures, motions[:n], mismatches[:n], everywhere, sparse=sparse), numbers)
 
 
 def relabelled(pictures: Stretches, motion: Motion) -> Motion:
@@ -120,7 +122,7 @@ def _layers(
     mismatches: list[Float[np.ndarray, "h w"]],
     everywhere: Motion,
     *,
-    skip: bool = True,
+    sparse: bool,
 ) -> Motion:
     """Layers with these motions, `everywhere` for the confidence; a single motion if one is left of them."""
     background = motions[0]
@@ -136,7 +138,7 @@ def _layers(
     motions = [
         motion
         if motion is background or motion is everywhere
-        else _sharpened(pictures, motion, np.asarray(label == k), sparse=skip)
+        else _sharpened(pictures, motion, np.asarray(label == k), sparse=sparse)
         for k, motion in enumerate(motions)
     ]
     layers = Layers(
@@ -145,7 +147,7 @@ def _layers(
         label=label.astype(np.int32),
         depth=np.zeros(len(motions), np.int32),
     )
-    layers = eqx.tree_at(lambda found: found.depth, layers, _depth(pictures, layers, sparse=skip))
+    layers = eqx.tree_at(lambda found: found.depth, layers, _depth(pictures, layers, sparse=sparse))
     return Motion.of_layers(layers, everywhere.confidence)
 
 

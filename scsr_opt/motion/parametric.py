@@ -80,10 +80,11 @@ def parametric(
     a first velocity: its mean, or where it varies the affine one nearest to it, whose numbers are then all fitted. With
     `where`, only these pixels of the key frame are looked at, and perspective, for which a region is too small, is left
     out; the motion is still given everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to
-    all moments once more. `sparse`: most of the way is gone with a quarter of the points.
+    all moments once more, at up to four times as many points. `sparse`: most of the way is gone with a quarter of the
+    points.
     """
     height, width = pictures.picture.shape[1:]
-    points = _points(height, width, where, pictures.firing)
+    points = _points(height, width, where, pictures.firing, every=fitted)
     few = points.quarter if sparse and points.region.size > _LEAST_POINTS else None
     numbers = np.zeros((2, _GENERATORS), np.float32)
     active = np.zeros((2, _GENERATORS), bool)
@@ -169,11 +170,14 @@ def _points(
     width: int,
     where: Bool[np.ndarray, "h w"] | None,
     firing: Float[np.ndarray | Array, "h w"] | None,
+    *,
+    every: bool = False,
 ) -> _Points:
+    """Where to look: at a quarter of the points or more, spread evenly, or at `every` one; at most at `_POINTS`."""
     inner = np.ones((height - 1, width - 1), bool) if where is None else where[:-1, :-1]
     row, column = np.nonzero(inner)
     size = _LEAST_POINTS
-    while 4 * size <= min(row.size, _POINTS):
+    while (size if every else 4 * size - 1) < min(row.size, _POINTS):
         size *= 4
     # Spread evenly, whatever their number (the additive recurrence by powers of the plastic number, Roberts 2018).
     if row.size > size:

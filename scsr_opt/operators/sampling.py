@@ -41,8 +41,8 @@ _PIECE, _LEAST_PIECE = 8192, 256
 
 # Where the positions of an exposure lie, in exposures from its middle: two and three at the nodes of equal weight that
 # integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"), five, which exposures of any
-# length get, evenly spread. Of the light of natural pictures behind the aperture one misses 0.003 of an exposure in
-# which they move by 0.2 sensor pixels, two 0.001 at 0.5, three 0.003 at 1.2 (docs/data-term.md, "Exposures").
+# length get, evenly spread. Of the light of natural pictures behind the aperture one misses 0.0007 of an exposure in
+# which they move by 0.1 sensor pixels, two 0.0013 at 0.5, three 0.0011 at 0.7 (docs/data-term.md, "Exposures").
 _NODES = {
     1: (0.0,),
     2: (-0.5 / 3**0.5, 0.5 / 3**0.5),

@@ -137,7 +137,9 @@ def _run(
     alone = np.zeros([-(-length // side) for length in problem.data.shape], int)
     # The limits are handed over apart, as in `run`: other ones compile nothing anew.
     steps, limit, worst = dataclasses.replace(solver, iterations=1, tolerance=0.0), _LIMIT * enough, float("nan")
-    state, result = whole((_WHOLE if skip else 1) * enough, left(), similar=similar)
+    # No tile's residual is above the whole picture's times the root of their number: few tiles would all be finished.
+    loose = skip and _WHOLE * math.sqrt(math.prod(problem.data.shape)) / side > _LIMIT
+    state, result = whole((_WHOLE if loose else 1) * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False
     while result is Result.converged:
         gradient, slopes = _slopes(current, state.image, state.prior, state.step_size)

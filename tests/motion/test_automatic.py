@@ -96,12 +96,13 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
     assert good.layers is not None
 
     def found_by(*, with_good: bool = False, with_scattered: bool = True) -> Motion:
-        def candidates(part, before, everywhere, moving, total, *, skip):
+        def candidates(part, before, everywhere, moving, total, *, skip, sparse):
             label = np.random.default_rng(0).integers(0, 2, moving.shape).astype(np.int32)
             velocity = np.stack([before.velocity, before.velocity + 0.1])
             scattered = Layers(velocity, np.zeros_like(velocity), label, np.array([0, 1], np.int32))
             found = [Motion.of_layers(scattered, everywhere.confidence)] if with_scattered else []
-            return [before, *found, *(layered(part, before, everywhere, moving, total, skip=skip) if with_good else [])]
+            more = layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse) if with_good else []
+            return [before, *found, *more]
 
         monkeypatch.setattr(estimate, "layered", candidates)
         return Automatic()(pictures)
@@ -126,9 +127,9 @@ def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):
         taken.append(turns)
         return accelerated(part, motion, start=start, **({} if turns is None else {"turns": turns}))
 
-    def told(part, before, everywhere, moving, total, *, skip):
+    def told(part, before, everywhere, moving, total, *, skip, sparse):
         given.append(everywhere)
-        return layered(part, before, everywhere, moving, total, skip=skip)
+        return layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse)
 
     monkeypatch.setattr(estimate, "accelerated", watched)
     monkeypatch.setattr(estimate, "layered", told)

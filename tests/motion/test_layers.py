@@ -113,7 +113,7 @@ def test_layers_that_nearly_no_pixel_wants_go_one_after_another(monkeypatch, pic
 
     monkeypatch.setattr(layers, "_label", label)
     mismatches = [np.zeros(shape, np.float32)] * len(motions)
-    assert layers._layers(shown, motions, mismatches, motions[0]) is motions[0]
+    assert layers._layers(shown, motions, mismatches, motions[0], sparse=False) is motions[0]
 
 
 @pytest.mark.parametrize("speed", [(0.0, 0.2), (-0.15, 0.1)])

@@ -108,9 +108,9 @@ def noise_of_mean(stream: Stream) -> float:
 
 
 class Validated(NamedTuple):
-    """A strength λ, and of the pictures that were made to find it that of the strength nearest to it, (H, W),
-    intensity: a start much nearer to the solution than playback. None where that is of a part of the sensor only, or
-    not finite."""
+    """A strength λ, and of the pictures that were made to find it that of the strength nearest to it (before a prior
+    that stood in is accounted for), (H, W), intensity: a start much nearer to the solution than playback. None where
+    that is of a part of the sensor only, or not finite."""
 
     strength: float
     image: Float[Array, "H W"] | None
@@ -192,11 +192,13 @@ def validated_strength(
     on_sensor = len(path.position) == 1 if all_taken is None else all_taken.placed.on_sensor
 
     def made(area: tuple[slice, slice]) -> _Part | None:
+        # Sums of few pixels are too few to tell.
+        merge = skip and int(good[area].sum()) >= _FEWEST
         pieces, part, first, merged = all_taken, stream.part(*area), image[_scaled(area, scale)], False
         of_part = None if gain is None else gain[area]
         if pieces is None or good[area].shape != good.shape or (pieces.merged_for > 1).any():
             # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
-            if skip and isinstance(measuring, Intervals):
+            if merge and isinstance(measuring, Intervals):
                 if on_sensor and measuring.noise is None:
                     ends = measuring.ends
                     of_area = path.part(*area)
@@ -209,7 +211,7 @@ def validated_strength(
                 scale=scale,
                 measuring=measuring,
                 gain=of_part,
-                merge=skip,
+                merge=merge,
                 longest=STRETCH if merged else 1,
                 on_sensor=skip,
             )
@@ -248,11 +250,13 @@ def validated_strength(
     best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
     by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in found]))
     beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
-    near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / (beyond * best))))] if whole else None
-    near = near if near is not None and bool(jnp.isfinite(near).all()) else None
+    times, near = max(at_least, beyond * best), None
+    if whole:
+        near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
+        near = near if bool(jnp.isfinite(near).all()) else None
     if learned:
-        best = _STAND_IN[0] * best ** _STAND_IN[1]
-    return Validated(least * max(at_least, beyond * best), near)
+        times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
+    return Validated(least * times, near)
 
 
 def _chosen(

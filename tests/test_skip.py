@@ -149,6 +149,25 @@ def test_tiles_are_left_alone_beside_an_object_smaller_than_one():
     assert np.abs(change).max() < 1 / 255
 
 
+def test_a_picture_of_few_tiles_is_iterated_as_a_whole():
+    """They would all be finished once the whole picture is near its tolerance."""
+    made = simulate(Translation(WALL, velocity=(0.5, 0.8)), scale=4, frames=FRAMES, sensor=Sensor(), seed=5)
+    full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
+    assert skipping.active is not None and not skipping.active.alone.any()
+    assert skipping.stats["iterations"] == full.stats["iterations"]
+
+
+def test_an_object_that_is_mostly_hidden_or_hides_is_no_rest():
+    """Behind it and before it a sixth of the sensor contradicts any motion, nearly as much as contradicts rest."""
+    wall, brick = data.gravel()[60:316, 60:316] / 255, data.brick()[:120, :120] / 255
+    scene = MovingObject(wall, brick, (0.8, -1.0), shape=Box(80.0, 80.0))
+    made = simulate(scene, scale=4, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=11)
+    full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
+    assert skipping.plan is not None and skipping.plan.scene == "2 layers"
+    truth = made.truth(KEY)
+    assert psnr(truth, skipping.image, 32) > psnr(truth, full.image, 32) - 0.03
+
+
 def test_what_is_still_is_told_and_merged_beside_what_moves():
     """Unless the strength is tried on the whole of so small a picture, for which intervals have to stay apart."""
     scene = MovingObject(WALL, BRICK, (0.4, 0.6), shape=Box(30.0, 30.0))

@@ -198,6 +198,19 @@ def test_what_was_measured_serves_again_where_nothing_is_merged():
     assert again == anew
 
 
+def test_at_rest_a_few_pixels_are_validated_by_their_intervals():
+    """One sum for each would be too few to tell."""
+    stream = still(data.brick()[:16, :16] / 255)
+    motion, options = Motion.none(8, 8), {"scale": SCALE, "prior": TotalVariation(), "solver": FISTA()}
+    taken = {skip: measured(stream, motion, scale=SCALE, measuring=Intervals(), merge=skip) for skip in (True, False)}
+    found = [
+        validated_strength(stream, motion, of, first_of(stream), **options, measuring=Intervals(), skip=skip)
+        for skip, of in taken.items()
+    ]
+    assert found[0].image is not None
+    assert found[0].strength == pytest.approx(found[1].strength, rel=0.1)
+
+
 @pytest.mark.parametrize("frames", [10, 20])
 def test_pixels_that_hardly_fire_ask_for_a_strong_prior(frames):
     """Most pixels fire less than twice. Measured: 19.1 and 22.3 dB, 13.6 and 18.7 of playback with a classical

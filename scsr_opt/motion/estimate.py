@@ -42,10 +42,10 @@ _RESTING = 0.05
 _ASIDE, _FEWER = 0.8, 0.75
 # The share of the pixels that has to be heard for silence to count as agreement.
 _HEARD = 0.5
-# What must be left of what contradicted the background, at most, for anything richer to be believed.
+# What must be left of what contradicted the background, or of what it missed of the pictures around there, at most, for
+# anything richer to be believed.
 _HELPS = 0.8
-# What it must miss of the pictures around there, beside what the background misses: more numbers always fit a little
-# better.
+# What it must miss of them in any case, beside what the background misses: more numbers always fit a little better.
 _PREDICTS = 0.97
 # Where so large a share of the sensor contradicted the background, predicting better at all is enough: a clip of leaves
 # in the wind, 38 % of which contradicted rest and 0.1 % the dense estimate, was predicted 2 % better by it.
@@ -234,10 +234,12 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     # Where no layers were found, the background is all that is left of them.
     otherwise = [(everywhere, by_pixel)] if layers else candidates
     motion, miss = min(serving or otherwise, key=lambda one: one[1].mean)
-    # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing.
-    helps = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()
-    enough = 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
-    better = helps and miss.mean < enough * predicts(before).mean
+    # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing. What is hidden
+    # for a while contradicts any motion, too, but all else is predicted.
+    at_first, enough = predicts(before).mean, 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
+    better = miss.mean < enough * at_first
+    if better and miss.mean >= _HELPS * at_first:
+        better = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()
     if better and motion is everywhere:  # in dim light predictions do not tell, and chance is taken off anyway
         motion = accelerated(part, motion, start=before)
     return motion.within(background, *used) if better else background

@@ -74,8 +74,8 @@ def layered(
     moving: Bool[np.ndarray, "h w"],
     total: int,
     *,
-    skip: bool = True,
-    sparse: bool = False,
+    skip: bool,
+    sparse: bool,
 ) -> list[Motion]:
     """The scene as layers: `background`, further affine motions where that is contradicted, and the dense estimate
     `everywhere` where these do not explain enough.

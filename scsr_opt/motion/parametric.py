@@ -85,7 +85,7 @@ def parametric(
     """
     height, width = pictures.picture.shape[1:]
     points = _points(height, width, where, pictures.firing, every=fitted)
-    few = points.quarter if sparse and points.region.size > _LEAST_POINTS else None
+    few = points.quarter if sparse and points.region.sum() > 3 * _LEAST_POINTS else None
     numbers = np.zeros((2, _GENERATORS), np.float32)
     active = np.zeros((2, _GENERATORS), bool)
     active[0, _SHIFTS] = True

@@ -1,7 +1,8 @@
 """An active set: the iteration goes on where a picture is not finished, and leaves alone what is.
 
 What rests is found in a few iterations, what moves or was hardly seen in many, and the residual of the whole picture is
-a mean of both. So the whole picture is iterated only until that is near the tolerance. The slope of F then says of
+a mean of both. So the whole picture, if it has more than a few tiles, is iterated only until that is near the
+tolerance. The slope of F then says of
 each tile how far from optimal it is: by how much a step along it, as long as each pixel allows, changes the tile. Where
 that is above a limit, F is minimised over the tile's pixels alone, their surroundings held, by the same solver: in a
 window that reaches as far as a pixel's gradient does, with steps of length 0 outside the tile. No two tiles that touch
@@ -137,7 +138,8 @@ def _run(
     alone = np.zeros([-(-length // side) for length in problem.data.shape], int)
     # The limits are handed over apart, as in `run`: other ones compile nothing anew.
     steps, limit, worst = dataclasses.replace(solver, iterations=1, tolerance=0.0), _LIMIT * enough, float("nan")
-    # No tile's residual is above the whole picture's times the root of their number: few tiles would all be finished.
+    # No tile's residual is above the whole picture's times the root of their number: few tiles would then be finished,
+    # or nearly so.
     loose = skip and _WHOLE * math.sqrt(math.prod(problem.data.shape)) / side > _LIMIT
     state, result = whole((_WHOLE if loose else 1) * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False

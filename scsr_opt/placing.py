@@ -95,9 +95,10 @@ def stream_around(
     return key, Stream(spikes, key - start, rate, bad)
 
 
-def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]:
-    """X^(0): the rate over 21 frames around the key frame, enlarged by Lanczos' interpolation: what lies between sensor
-    pixels is found slowly, and a sharp start has some of it (docs/measurements.md)."""
+def first_picture(stream: Stream, shape: tuple[int, int], *, sharp: bool = False) -> Float[Array, "H W"]:
+    """X^(0): the rate over 21 frames around the key frame, enlarged linearly, as the networks were trained with, or by
+    Lanczos' interpolation if it is to be `sharp`: what lies between sensor pixels is found slowly, and such a start has
+    some of it (docs/measurements.md)."""
     frames, bad = len(stream.spikes), stream.bad_pixels
     if frames > 1:
         edges = np.clip(np.array([stream.key - 10.0, stream.key + 10.0]), 0, frames - 1)
@@ -107,7 +108,7 @@ def first_picture(stream: Stream, shape: tuple[int, int]) -> Float[Array, "H W"]
     picture = jnp.asarray(rate, jnp.float32)
     if bad is not None and bad.any():
         picture = filled(picture, ~bad)
-    return jax.image.resize(picture[0], shape, "lanczos3")
+    return jax.image.resize(picture[0], shape, "lanczos3" if sharp else "linear")
 
 
 class Measurements(NamedTuple):

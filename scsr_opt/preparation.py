@@ -265,7 +265,8 @@ def prepare(
         return gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
 
     with ThreadPoolExecutor(1) as beside:  # what the motion is not needed for
-        by_noise, started = beside.submit(noise_of_mean, stream), beside.submit(first_picture, stream, shape)
+        by_noise = beside.submit(noise_of_mean, stream)
+        started = beside.submit(first_picture, stream, shape, sharp=True)
         # Little work, where windows of the sensor tell; all of it waits until it is needed.
         at_rest = beside.submit(gains_at_rest) if looked_for is not None and skip else None
         if isinstance(velocity, Estimator):

@@ -167,7 +167,7 @@ def test_a_network_of_identities_stays_where_it_starts(shelf, recording, posed, 
 
 
 def test_an_unrolled_iteration_reports_the_solvers_step_size(shelf, posed):
-    found = model("unrolled", 2).solve(posed, keep_images=True)
+    found = model("unrolled", 2).solve(posed, start=posed.first, keep_images=True)
     β = 1 / float(lipschitz_bound(posed.plain))
     for stage in found.stages:
         assert stage.step_size == pytest.approx(β, rel=1e-4)

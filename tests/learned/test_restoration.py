@@ -170,7 +170,7 @@ def test_it_can_be_compared(recording, silent):
     assert both.stages[-1].seconds > both.stages[len(ridge.stages) - 1].seconds > 0
     start = np.zeros((40, 48), np.float32)
     usual, other = silent(recording, scale=2).image, silent(recording, scale=2, start=start).image
-    # Of the whole picture, as the tolerance is: 1e-4 a step, and up to a hundred steps to go. Single pixels of the border,
+    # Of the whole picture, as the tolerance is: 1e-4 a step, and up to a hundred to go. Single pixels of the border,
     # which little is seen of, differ by more.
     assert np.linalg.norm(other - usual) < 0.01 * np.linalg.norm(usual)
 

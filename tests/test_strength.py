@@ -1,6 +1,6 @@
 """The strength from the recording: by its noise, and by intervals that are held out."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,7 @@ from scsr_opt.solvers.iterate import run
 from scsr_opt.strength import (
     _BEYOND,
     _STAND_IN,
+    Validated,
     _chosen,
     _vertex,
     noise_of_mean,
@@ -52,17 +53,22 @@ def first_of(stream: Stream) -> jax.Array:
     return first_picture(stream, (SCALE * height, SCALE * width))
 
 
-def validated(
+def at_rest(
     stream: Stream,
     measuring: Measuring = Intervals(),  # noqa: B008
     prior: Prior = TotalVariation(),  # noqa: B008
     solver: Solver = FISTA(),  # noqa: B008
-) -> float:
+    *,
+    skip: bool = True,
+) -> Validated:
     motion = Motion.none(*stream.spikes.shape[1:])
-    taken = measured(stream, motion, scale=SCALE, measuring=measuring)
-    return validated_strength(
-        stream, motion, taken, first_of(stream), scale=SCALE, prior=prior, solver=solver, measuring=measuring
-    ).strength
+    taken = measured(stream, motion, scale=SCALE, measuring=measuring, merge=skip)
+    given = {"scale": SCALE, "prior": prior, "solver": solver, "measuring": measuring, "skip": skip}
+    return validated_strength(stream, motion, taken, first_of(stream), **given)
+
+
+def validated(stream: Stream, *arguments: Any, **options: Any) -> float:
+    return at_rest(stream, *arguments, **options).strength
 
 
 def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
@@ -137,18 +143,7 @@ def test_a_smooth_prior_needs_no_proximal_step(bricks):
 def test_a_picture_comes_with_it_where_all_of_the_sensor_was_looked_at():
     for height, whole in ((40, True), (130, False)):
         picture = data.brick()[: 2 * height, :48] / 255
-        stream, motion = still(picture), Motion.none(height, 24)
-        taken = measured(stream, motion, scale=SCALE, measuring=Intervals())
-        image = validated_strength(
-            stream,
-            motion,
-            taken,
-            first_of(stream),
-            scale=SCALE,
-            prior=TotalVariation(),
-            solver=FISTA(),
-            measuring=Intervals(),
-        ).image
+        image = at_rest(still(picture)).image
         assert (image is not None) == whole
         if image is not None:
             assert np.abs(np.asarray(image) - picture)[8:-8, 8:-8].mean() < 0.03
@@ -165,17 +160,7 @@ def test_the_picture_that_comes_with_it_is_that_of_the_nearest_strength(monkeypa
 
     stream = still(data.brick()[:80, :80] / 255)
     monkeypatch.setattr("scsr_opt.strength.run", watched)
-    taken = measured(stream, Motion.none(40, 40), scale=SCALE, measuring=Intervals())
-    found = validated_strength(
-        stream,
-        Motion.none(40, 40),
-        taken,
-        first_of(stream),
-        scale=SCALE,
-        prior=TotalVariation(),
-        solver=FISTA(),
-        measuring=Intervals(),
-    )
+    found = at_rest(stream)
     assert len(tried) > 2 and found.image is not None
     nearest = min(tried, key=lambda one: abs(np.log(one[0] / found.strength)))[1]
     np.testing.assert_array_equal(found.image, nearest)
@@ -201,12 +186,7 @@ def test_what_was_measured_serves_again_where_nothing_is_merged():
 def test_at_rest_a_few_pixels_are_validated_by_their_intervals():
     """One sum for each would be too few to tell."""
     stream = still(data.brick()[:16, :16] / 255)
-    motion, options = Motion.none(8, 8), {"scale": SCALE, "prior": TotalVariation(), "solver": FISTA()}
-    taken = {skip: measured(stream, motion, scale=SCALE, measuring=Intervals(), merge=skip) for skip in (True, False)}
-    found = [
-        validated_strength(stream, motion, of, first_of(stream), **options, measuring=Intervals(), skip=skip)
-        for skip, of in taken.items()
-    ]
+    found = [at_rest(stream, skip=skip) for skip in (True, False)]
     assert found[0].image is not None
     assert found[0].strength == pytest.approx(found[1].strength, rel=0.1)
 

@@ -2,11 +2,11 @@
 
 What rests is found in a few iterations, what moves or was hardly seen in many, and the residual of the whole picture is
 a mean of both. So the whole picture, if it has more than a few tiles, is iterated only until that is near the
-tolerance. The slope of F then says of
-each tile how far from optimal it is: by how much a step along it, as long as each pixel allows, changes the tile. Where
-that is above a limit, F is minimised over the tile's pixels alone, their surroundings held, by the same solver: in a
-window that reaches as far as a pixel's gradient does, with steps of length 0 outside the tile. No two tiles that touch
-are solved for at once (they have four colours), so that F falls with each, as in any descent by blocks of coordinates.
+tolerance. The slope of F then says of each tile how far from optimal it is: by how much a step along it, as long as
+each pixel allows, changes the tile. Where that is above a limit, F is minimised over the tile's pixels alone, their
+surroundings held, by the same solver: in a window that reaches as far as a pixel's gradient does, with steps of length
+0 outside the tile. No two tiles that touch are solved for at once (they have four colours), so that F falls with each,
+as in any descent by blocks of coordinates.
 
 Then the whole picture is looked at again, and what a neighbour's change woke is gone on with. A solve ends with an
 iteration of the WHOLE picture, whose residual meets the tolerance, and that of no tile is above its limit.

@@ -37,7 +37,7 @@ from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.operator import LinearOperator
 
 # Samples are visited so many at a time, if their number allows, but not fewer than so many.
-_PIECE, _LEAST_PIECE = 8192, 256
+_PIECE, _LEAST_PIECE = 16384, 256
 
 # Where the positions of an exposure lie, in exposures from its middle: two and three at the nodes of equal weight that
 # integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"), five, which exposures of any

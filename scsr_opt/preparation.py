@@ -172,7 +172,8 @@ class Prepared:
     **Fields:**
     - `asked`, `motion`; `taken`: the measurements; `gains`: of each pixel, None for 1, and `resting`, those found where
       nothing moves; `noise`: standard deviation of a pixel's mean; `plan`.
-    - `rounds`: how it is solved; `image`: X^(0); `near`: a picture near the solution, where there is one.
+    - `rounds`: how it is solved; `image`: X^(0); `near`: a picture near the solution, where there is one;
+      `term`: M, c and e of the measurements.
     - `learned`: what was found about the camera. `clock`: how long each part took.
     """
 
@@ -186,6 +187,7 @@ class Prepared:
     rounds: Rounds
     image: Float[Array, "H W"]
     near: Float[Array, "H W"] | None
+    term: DataTerm | None
     learned: dict[str, float]
     clock: Clock
 
@@ -304,7 +306,7 @@ def prepare(
         planned = beside.submit(asked.plan, motion, taken, noise)
         clock.lap("samples")
     plan = planned.result()
-    prepared = Prepared(asked, motion, taken, gains, resting, noise, plan, rounds, image, None, learned, clock)
+    prepared = Prepared(asked, motion, taken, gains, resting, noise, plan, rounds, image, None, None, learned, clock)
     if not prepared.usable:
         return prepared
     if lens is not optics:
@@ -319,7 +321,7 @@ def prepare(
         chosen = default_solver(prior, strength=λ, scale=scale, apart=apart)
         prepared = replace(prepared, rounds=replace(prepared.rounds, solver=chosen))
     clock.lap("strength")  # what it takes beyond the samples, where it is looked for beside them
-    return prepared
+    return replace(prepared, term=prepared.rounds.term(taken.placed))
 
 
 # Sensor pixels that it takes, at least, to predict a tenth of them from the others.

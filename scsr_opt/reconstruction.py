@@ -127,7 +127,7 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
         nothing = np.zeros(image.shape, np.float32)
         return Solution(nothing, (), Result.no_samples, stats, prepared.motion, plan=prepared.plan)
     clock.resume()
-    found = prepared.rounds(prepared.taken.placed, image, state, near=prepared.near)
+    found = prepared.rounds(prepared.taken.placed, image, state, near=prepared.near, term=prepared.term)
     stages = found.outcome.stages
     motion, measured_as = prepared.motion, prepared.taken
     known = gain_is_known(motion.moved(len(stream.spikes)))

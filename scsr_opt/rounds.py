@@ -82,13 +82,14 @@ class Rounds:
         state: Any = None,
         *,
         near: Float[Array, "H W"] | None = None,
+        term: DataTerm | None = None,
     ) -> Found:
         """Solves from the picture `image`, or from one that is known to be `near` the solution, or goes on from the
-        `state` of a solve of something similar.
+        `state` of a solve of something similar. `term`: what `term` makes of `placed`, where that is done.
 
         **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
         """
-        term = self._term(placed)
+        term = self.term(placed) if term is None else term
         if state is not None:
             self._check(state, Problem(term, self.prior, self.strength), image)
             near = self.solver.image(state)
@@ -100,7 +101,8 @@ class Rounds:
             outcome = self._reweighted(term, placed, image, state, near, self.robust)
         return Found(outcome, _blurred(term, jnp.asarray(outcome.image)))
 
-    def _term(self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None) -> DataTerm:
+    def term(self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None) -> DataTerm:
+        """The quadratic that a solve begins with, without corrections; `robust`: factors on the weights."""
         term = accumulate(placed, robust=robust, optics=self.optics)
         return self.solver.prepared(Problem(term, self.prior, self.strength)).data
 
@@ -143,7 +145,7 @@ class Rounds:
             last = settled or not following
             if near is not None:
                 factors = robust_factors(loss, placed, _blurred(term, near))
-                term = self._term(placed, factors)
+                term = self.term(placed, factors)
             outcome = self._solved(term, placed, image, state, near, robust=factors, tolerances=1.0 if last else _LOOSE)
             stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
             if last or not outcome.result.good:

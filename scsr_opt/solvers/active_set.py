@@ -172,21 +172,23 @@ def _run(
         if corrected(state.image, enough) is not None:
             stale = True
             continue
-        following, *found = _step(steps, current, state)
-        record, residuals = jax.device_get(found)
-        if not np.isfinite(sum(record[:3])):
-            state, result = finite, Result.non_finite
-            break
-        state, worst = following, float(residuals.max())
-        stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begun))
-        if progress is not None:
-            progress.advance(1)
-        if record.residual <= enough and worst <= limit:
-            break
-        if left() < 2:
-            result = Result.iterations_exhausted
-        elif record.residual > enough:
-            state, result = whole(enough, left(), state=state)
+        residual = math.inf
+        for _ in range(min(left(), CORRECTED_AFTER)):
+            following, *found = _step(steps, current, state)
+            record, residuals = jax.device_get(found)
+            if not np.isfinite(sum(record[:3])):
+                result = Result.non_finite
+                break
+            state, residual, worst = following, float(record.residual), float(residuals.max())
+            stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begun))
+            if progress is not None:
+                progress.advance(1)
+            if residual <= enough:
+                break
+        if result.good and residual <= enough and worst <= limit:
+            if corrected(state.image, enough) is None:
+                break
+            stale = True
     found = np.asarray(current.prior.clip(state.image))
     return Outcome(found, tuple(stages), result, state, Active(len(stages), alone, side, worst, limit))
 

@@ -334,8 +334,9 @@ def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:
 
 def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, in units of `noise`."""
-    along = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    sides = _sides(sharp.picture, sharp.after, *along, jnp.asarray(noise))
+    moves = bool(motion.velocity.any() or motion.acceleration.any())
+    fields = (jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)) if moves else None
+    sides = _sides(sharp.picture, sharp.after, fields, jnp.asarray(noise))
     sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
     # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
     return 0.7 * sides.min(0) + 0.3 * sides.mean(0)
@@ -345,11 +346,11 @@ def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarra
 def _sides(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
+    motion: tuple[Float[Array, "2 h w"], Float[Array, "2 h w"]] | None,
     noise: Float[Array, ""],
 ) -> Float[Array, "2 h w"]:
-    """How far the pictures along a motion differ from their mean near the key frame, before it and after it.
+    """How far the pictures along a motion, velocity and acceleration or None at rest, differ from their mean near the
+    key frame, before it and after it.
 
     Mean square in units of `noise`, cut off. Moments within 20 frames count less, for there all motions agree.
     """
@@ -361,10 +362,12 @@ def _sides(
     begin = jnp.min(jnp.where(near > _HARDLY, numbers, after.size))
     end = jnp.max(jnp.where(near > _HARDLY, numbers + 1, 0))
 
-    def place(k: Array) -> tuple[Corner, Array]:
-        return along(after[k], velocity, acceleration)
+    def place(k: Array) -> tuple[Corner, Array] | None:
+        return None if motion is None else along(after[k], *motion)
 
-    def look(k: Array, placed: tuple[Corner, Array]) -> tuple[Array, Array]:
+    def look(k: Array, placed: tuple[Corner, Array] | None) -> tuple[Array, Array]:
+        if placed is None:  # nothing to look up
+            return pictures[k], jnp.ones((height, width), pictures.dtype)
         return interpolated(pictures[k], placed[0]), placed[1]
 
     def average(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:

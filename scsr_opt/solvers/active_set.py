@@ -37,9 +37,10 @@ from scsr_opt.solvers.stopping import FixedPoint
 # Side of a tile, sensor pixels. With half of that, as large a part of the windows is border as tile, and more of the
 # tiles wait for each other (docs/measurements.md).
 TILE = 32
-# The whole picture is iterated until its residual is so many tolerances; a tile is gone on with where its own is more
-# than so many, until it is so much of that (docs/measurements.md).
-_WHOLE, _LIMIT, _WITHIN = 4.0, 10.0, 0.6
+# The whole picture is iterated until its residual is so many tolerances, or so many where it starts from that of a
+# similar problem, which is finished in many places; a tile is gone on with where its own is more than so many, until it
+# is so much of that (docs/measurements.md).
+_WHOLE, _WHOLE_SIMILAR, _LIMIT, _WITHIN = 4.0, 64.0, 10.0, 0.6
 # Windows that are solved for side by side; iterations of a tile at a time, and times that tiles are gone on with, at
 # most. What then is left is left to iterations of the whole picture.
 _BATCH, _MOST, _VISITS = 4, 40, 12
@@ -141,7 +142,8 @@ def _run(
     # No tile's residual is above the whole picture's times the root of their number: few tiles would then be finished,
     # or nearly so.
     loose = skip and _WHOLE * math.sqrt(math.prod(problem.data.shape)) / side > _LIMIT
-    state, result = whole((_WHOLE if loose else 1) * enough, left(), similar=similar)
+    first = 1 if not loose else _WHOLE if similar is None else _WHOLE_SIMILAR
+    state, result = whole(first * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False
     while result is Result.converged:
         gradient, slopes = _slopes(current, state.image, state.prior, state.step_size)

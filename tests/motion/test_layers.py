@@ -28,6 +28,17 @@ def before_a_background(depth: tuple[int, int]) -> Motion:
     return Motion.of_layers(layers, np.ones((30, 40), np.float32))
 
 
+def test_rest_mismatches_as_a_motion_by_nothing():
+    """The layer at rest is compared without look-ups."""
+    picture = np.random.default_rng(0).random((9, 30, 40), np.float32)
+    pictures = Stretches(jnp.asarray(picture), jnp.linspace(-40.0, 40.0, 9))
+    hardly = Motion.of_velocity(np.full((2, 30, 40), 1e-30, np.float32))
+    found, expected = (layers._mismatch(pictures, motion, 0.01) for motion in (Motion.none(30, 40), hardly))
+    inside = (slice(8, -8), slice(8, -8))  # what moves at all leaves the border
+    np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-5)
+    assert np.ptp(found[inside]) > 0.1
+
+
 def seen_at(motion: Motion, time: int) -> tuple[np.ndarray, np.ndarray]:
     path = trajectory_of(motion, key=KEY, start=0, stop=FRAMES)
     moment = time // SPACING

@@ -52,34 +52,51 @@ def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tupl
     distance = np.sort(np.abs(np.asarray(pictures.after)))
     # What has left the picture halfway through the recording cannot have been followed.
     limits = 0.5 * max(height, width) / (distance[-1] + 1), max(height, width) / (distance[-1] + 1) ** 2
-    field, base = (jnp.stack([jnp.asarray(m.velocity), jnp.asarray(m.acceleration)]) for m in (motion, start))
-    confidence = jnp.ones((height, width), jnp.float32)
-    by_chance = _by_chance(pictures)
+    field, base = (np.stack([m.velocity, m.acceleration]) for m in (motion, start))
+    confidence, by_chance = np.ones((height, width), np.float32), _by_chance(pictures)
     for which, (reach, sigma, window, steps) in schedule:
-        # Three moments at least, however far apart they are.
-        part = (jnp.abs(pictures.after) <= max(reach, distance[min(2, distance.size - 1)])).astype(jnp.float32)
-        field, information = _refine(
+        field, known = _after_part(
             pictures.presmoothed(sigma).picture,
             pictures.after,
-            part,
             field,
             base,
-            jnp.asarray(which, jnp.int32),
+            np.int32(which),
+            # Three moments at least, however far apart they are.
+            np.float32(max(reach, distance[min(2, distance.size - 1)])),
             # A step of more pixels than this at the farthest moment is beyond what the linearisation knows.
-            jnp.asarray(sigma + 0.5, jnp.float32),
-            jnp.asarray(window, jnp.float32),
-            jnp.asarray(steps, jnp.int32),
+            np.float32(sigma + 0.5),
+            np.float32(window),
+            np.int32(steps),
+            np.float32(limits[which]),
+            by_chance,
         )
-        # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
-        voted = jnp.clip(_median(field[which]), -limits[which], limits[which])
-        if which == _VELOCITY:
-            longest = jnp.max(jnp.abs(pictures.after) * part)
-            confidence = _confidence(information, longest)
-        else:
-            voted = _believed(voted, base[which], information, by_chance)
-        field = field.at[which].set(voted)
+        confidence = known if which == _VELOCITY else confidence
     velocity, acceleration = np.asarray(field)
     return Motion(velocity, acceleration, np.asarray(confidence))
+
+
+@jax.jit
+def _after_part(
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
+    field: Float[Array, "2 2 h w"],
+    base: Float[Array, "2 2 h w"],
+    which: Int[Array, ""],
+    reach: Float[Array, ""],
+    bound: Float[Array, ""],
+    window: Float[Array, ""],
+    steps: Int[Array, ""],
+    limit: Float[Array, ""],
+    by_chance: Float[Array, "*hw"],
+) -> tuple[Float[Array, "2 2 h w"], Float[Array, "h w"]]:
+    """`field`, velocity and acceleration, after a part of the schedule, and how well the velocity is known."""
+    part = (jnp.abs(after) <= reach).astype(after.dtype)
+    field, information = _refine(pictures, after, part, field, base, which, bound, window, steps)
+    # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
+    voted = jnp.clip(_median(field[which]), -limit, limit)
+    believed = jnp.where(which == _ACCELERATION, _believed(voted, base[which], information, by_chance), voted)
+    longest = jnp.max(jnp.abs(after) * part)
+    return field.at[which].set(believed), _confidence(information, longest)
 
 
 @jax.jit

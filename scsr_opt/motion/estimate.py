@@ -1,5 +1,6 @@
 """Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import cast
 
 import jax.numpy as jnp
@@ -221,14 +222,17 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     def predicts(motion: Motion) -> Missed:
         return missed(part, motion, noise, sparse=sparse).part(*judged)
 
-    by_pixel = predicts(everywhere)
     # An object that does not accelerate lost 0.9 dB by the freedom to; where something does, one turn shows it.
-    curved = accelerated(part, everywhere, start=before, turns=1)
-    if predicts(curved).mean < _PREDICTS * by_pixel.mean:
+    with ThreadPoolExecutor(1) as beside:
+        straight = beside.submit(predicts, everywhere)
+        curved = accelerated(part, everywhere, start=before, turns=1)
+        by_curved, by_pixel = predicts(curved), straight.result()
+    if by_curved.mean < _PREDICTS * by_pixel.mean:
         everywhere = accelerated(part, curved, start=before, turns=2)
         by_pixel = predicts(everywhere)
     found = layered(part, before, everywhere, unexplained[used], total, skip=skip, sparse=sparse)
-    candidates = list(zip(found, in_threads(predicts, found), strict=True))
+    *by_found, by_background = in_threads(predicts, [*found, before])
+    candidates = list(zip(found, by_found, strict=True))
     layers = [(one.layers, one, miss) for one, miss in candidates if one.layers is not None]
     serving = [(one, miss) for of, one, miss in layers if _serve(of.label[judged], miss, by_pixel, total)]
     # Where no layers were found, the background is all that is left of them.
@@ -236,7 +240,7 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     motion, miss = min(serving or otherwise, key=lambda one: one[1].mean)
     # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing. What is hidden
     # for a while contradicts any motion, too, but all else is predicted.
-    at_first, enough = predicts(before).mean, 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
+    at_first, enough = by_background.mean, 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
     better = miss.mean < enough * at_first
     if better and miss.mean >= _HELPS * at_first:
         better = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()

@@ -241,7 +241,9 @@ def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
     places = np.flatnonzero(region)
     places = np.unravel_index(places[:: max(1, places.size // 500)], region.shape)
     some, weight = motion.velocity[:, *places].T, motion.confidence[places] + 1e-3
-    distance = ((some[:, None] - some[None]) ** 2).sum(-1)
+    # Rows and columns apart: a sum over two of each pair took ten times as long.
+    down, right = ((of[:, None] - of) ** 2 for of in some.T)
+    distance = down + right
     votes = np.exp(-0.5 * distance / _ALIKE**2) @ weight
     found = []
     for _ in range(_COMMON):

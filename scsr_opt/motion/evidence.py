@@ -74,8 +74,7 @@ def variance_along(
     """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels; with `every`, of one row and
     column in so many."""
     smoothed = pictures.presmoothed(sharpness)
-    velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    return np.asarray(_variance(smoothed.picture, smoothed.after, velocity, acceleration, every))
+    return np.asarray(_variance(smoothed.picture, smoothed.after, motion.velocity, motion.acceleration, every))
 
 
 @partial(jax.jit, static_argnames="every")
@@ -172,24 +171,24 @@ def missed(pictures: Stretches, motion: Motion, noise: float, *, sparse: bool = 
     every = _SPARSE if sparse else 1
     smoothed = pictures.presmoothed(1.0)
     after = np.asarray(smoothed.after)
-    near = (jnp.abs(smoothed.after) <= max(_NEAR, float(np.abs(after).min()))).astype(jnp.float32)
-    velocity, acceleration = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    present = drift(smoothed.picture, smoothed.after, near, (velocity, acceleration)).mean
-    position, visible = seen_at(motion, smoothed.after[::_EVERY], every=every)
-    shown = smoothed.picture[::_EVERY, ::every, ::every]
-    error, visible = _missed(shown, position, visible, present, jnp.asarray(noise, jnp.float32))
+    near = (np.abs(after) <= max(_NEAR, float(np.abs(after).min()))).astype(np.float32)
+    present = drift(smoothed.picture, after, near, (motion.velocity, motion.acceleration)).mean
+    position, visible = seen_at(motion, after[::_EVERY], every=every)
+    error, visible = _missed(smoothed.picture, position, visible, present, np.float32(noise), every)
     return Missed(np.asarray(error), np.asarray(visible))
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="every")
 def _missed(
-    pictures: Float[Array, "n rows columns"],
+    pictures: Float[Array, "m h w"],
     position: Float[Array, "n 2 rows columns"],
     visible: Float[Array, "n rows columns"],
     present: Float[Array, "h w"],
     noise: Float[Array, ""],
+    every: int,
 ) -> tuple[Float[Array, "n rows columns"], Float[Array, "n rows columns"]]:
     height, width = present.shape
+    shown = pictures[::_EVERY, ::every, ::every]
 
     def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:
         picture, q = moment
@@ -197,7 +196,7 @@ def _missed(
         error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
         return jnp.minimum(error, _MISSED), inside.astype(present.dtype)
 
-    error, inside = jax.lax.map(one, (pictures, position))
+    error, inside = jax.lax.map(one, (shown, position))
     return error, visible * inside
 
 
@@ -207,9 +206,10 @@ def _evidence(
     """Score test of each window's velocity, or of rest: twice the gain in log-likelihood of the best one, how far that
     goes, and what the gain would be, at least, if the best one went half a pixel elsewhere."""
     smoothed = pictures.presmoothed(1.0)
-    along = None if motion is None else (jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration))
-    now = drift(smoothed.picture, smoothed.after, jnp.ones_like(smoothed.after), along)
-    return _score(now, jnp.max(jnp.abs(smoothed.after)), jnp.asarray(_WINDOW))
+    after = np.asarray(smoothed.after)
+    along = None if motion is None else (motion.velocity, motion.acceleration)
+    now = drift(smoothed.picture, after, np.ones_like(after), along)
+    return _score(now, np.abs(after).max(), np.float32(_WINDOW))
 
 
 @jax.jit

@@ -23,7 +23,7 @@ _REFINEMENTS, _STILL = 8, 1e-4
 def inverse(
     velocity: Float[Array | np.ndarray, "2 h w"],
     acceleration: Float[Array | np.ndarray, "2 h w"],
-    after: Float[Array, " n"],
+    after: Float[Array | np.ndarray, " n"],
     *,
     every: int = 1,
 ) -> Float[Array, "n 2 rows columns"]:
@@ -37,7 +37,7 @@ def inverse(
     It ends when nothing moves by `_STILL` any more, or after `_REFINEMENTS`.
     """
     velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
-    affine, numbers = affine_numbers(velocity, acceleration, float(jnp.max(jnp.abs(after))))
+    affine, numbers = affine_numbers(velocity, acceleration, float(np.abs(np.asarray(after)).max()))
     # Looking up takes most of the time, and a field of zeros need not be.
     return _inverses(
         velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after, every

@@ -337,8 +337,8 @@ def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:
 def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, in units of `noise`."""
     moves = bool(motion.velocity.any() or motion.acceleration.any())
-    fields = (jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)) if moves else None
-    sides = _sides(sharp.picture, sharp.after, fields, jnp.asarray(noise))
+    fields = (motion.velocity, motion.acceleration) if moves else None
+    sides = _sides(sharp.picture, sharp.after, fields, np.float32(noise))
     sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
     # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.
     return 0.7 * sides.min(0) + 0.3 * sides.mean(0)
@@ -395,9 +395,9 @@ def _sides(
 
 @jax.jit
 def _look_up(
-    fields: Float[Array, "c h w"], position: Float[Array, "n 2 rows columns"]
+    picture: Float[Array, "h w"], member: Float[Array, "h w"], position: Float[Array, "n 2 rows columns"]
 ) -> list[Float[Array, "n rows columns"]]:
-    return jax.lax.map(lambda q: [bilinear(field[None], q[0], q[1])[0] for field in fields], position)
+    return jax.lax.map(lambda q: [bilinear(field[None], q[0], q[1])[0] for field in (picture, member)], position)
 
 
 def _depth(pictures: Stretches, layers: Layers, *, sparse: bool) -> Int[np.ndarray, " layers"]:
@@ -407,16 +407,15 @@ def _depth(pictures: Stretches, layers: Layers, *, sparse: bool) -> Int[np.ndarr
     """
     sharp, every = pictures.presmoothed(_SHARPNESS), 2 if sparse else 1
     number, some = len(layers.depth), slice(None, None, _EVERY)
-    voting = np.asarray(sharp.picture[some, ::every, ::every])
-    near = (jnp.abs(sharp.after) <= 10).astype(jnp.float32)
+    voting = np.asarray(sharp.picture)[some, ::every, ::every]
+    after = np.asarray(sharp.after)
+    near = (np.abs(after) <= 10).astype(np.float32)
     shown, there = [], []
     for k in range(number):
-        velocity, acceleration = jnp.asarray(layers.velocity[k]), jnp.asarray(layers.acceleration[k])
-        origin = inverse(layers.velocity[k], layers.acceleration[k], sharp.after[some], every=every)
-        key_picture = drift(sharp.picture, sharp.after, near, (velocity, acceleration)).mean
-        membership = jnp.asarray(layers.label == k, jnp.float32)
-        both = jnp.stack([key_picture, membership])
-        picture, member = (np.asarray(of) for of in _look_up(both, origin))
+        velocity, acceleration = layers.velocity[k], layers.acceleration[k]
+        origin = inverse(velocity, acceleration, after[some], every=every)
+        key_picture = drift(sharp.picture, after, near, (velocity, acceleration)).mean
+        picture, member = map(np.asarray, _look_up(key_picture, (layers.label == k).astype(np.float32), origin))
         shown.append((picture - voting) ** 2)
         there.append(member > 0.5)
     wins = np.zeros(number, np.int32)

@@ -119,11 +119,11 @@ def parametric(
             looked_at: list[tuple[_Points, int]] = looked_at,
             enough: float = _SMALL * sigma * (0.1 if last else 1.0),
         ) -> tuple[Float[np.ndarray, "2 8"], "_Votes"]:
-            found = jnp.asarray(numbers)
+            found = numbers
             for some, most in looked_at:
                 found, votes = _fit(
-                    blurred, pictures.after, jnp.asarray(interval), some, found, jnp.asarray(active),
-                    jnp.asarray(most), jnp.asarray(enough, jnp.float32), jnp.asarray(majority, jnp.float32),
+                    blurred, pictures.after, np.array(interval, np.int32), some, found, active,
+                    np.int32(most), np.float32(enough), np.float32(majority),
                 )  # fmt: skip
             return np.asarray(found), votes
 
@@ -211,9 +211,9 @@ def moves_as_one(pictures: Stretches) -> bool:
     if after.size < 2:  # one picture shows no motion
         return False
     _, votes = _fit(
-        pictures.presmoothed(_SCHEDULE[-1][1]).picture, pictures.after, jnp.asarray((0, after.size)),
-        _points(height, width, None, pictures.firing), jnp.zeros(none.shape, jnp.float32), jnp.asarray(none),
-        jnp.asarray(0), jnp.asarray(0, jnp.float32), jnp.asarray(0.5, jnp.float32),
+        pictures.presmoothed(_SCHEDULE[-1][1]).picture, pictures.after, np.array((0, after.size), np.int32),
+        _points(height, width, None, pictures.firing), np.zeros(none.shape, np.float32), none,
+        np.int32(0), np.float32(0), np.float32(0.5),
     )  # fmt: skip
     return _asked_for(votes, none, (0, slice(_SHIFTS.start, _LINEAR.stop)))
 

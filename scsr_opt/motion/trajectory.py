@@ -346,7 +346,7 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
 
 
 def seen_at(
-    motion: Motion, after: Float[Array, " n"], *, every: int = 1
+    motion: Motion, after: Float[Array | np.ndarray, " n"], *, every: int = 1
 ) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
     """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there; with
     `every`, of one row and column in so many."""
@@ -357,7 +357,7 @@ def seen_at(
     nearest = np.argsort(-layers.depth, kind="stable")
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
     member = (layers.label == nearest[:, None, None]).astype(np.float32)
-    longest = float(jnp.max(jnp.abs(after)))
+    longest = float(np.abs(np.asarray(after)).max())
     affine = [affine_numbers(v, a, longest) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
     return _seen(velocity, acceleration if acceleration.any() else None, plain, numbers, member, after, every)

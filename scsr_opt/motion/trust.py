@@ -46,9 +46,9 @@ def trusted(pictures: Stretches, motion: Motion) -> Motion:
     share = _share(
         pictures.presmoothed(_SHARPNESS).picture,
         pictures.after,
-        jnp.asarray(motion.velocity),
-        jnp.asarray(motion.acceleration),
-        jnp.asarray(lag),
+        motion.velocity,
+        motion.acceleration,
+        np.int32(lag),
     )
     trust = Trust(after, np.asarray(share))
     return Motion(motion.velocity, motion.acceleration, motion.confidence, motion.layers, trust)

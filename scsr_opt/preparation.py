@@ -173,7 +173,7 @@ class Prepared:
     - `asked`, `motion`; `taken`: the measurements; `gains`: of each pixel, None for 1, and `resting`, those found where
       nothing moves; `noise`: standard deviation of a pixel's mean; `plan`.
     - `rounds`: how it is solved; `image`: X^(0); `near`: a picture near the solution, where there is one;
-      `term`: M, c and e of the measurements.
+      `term`: M, c and e of the measurements, summed here, as a sequence prepares a picture while it solves for another.
     - `learned`: what was found about the camera. `clock`: how long each part took.
     """
 

@@ -142,7 +142,7 @@ def _run(
     # No tile's residual is above the whole picture's times the root of their number: few tiles would then be finished,
     # or nearly so.
     loose = skip and _WHOLE * math.sqrt(math.prod(problem.data.shape)) / side > _LIMIT
-    first = 1 if not loose else _WHOLE if similar is None else _WHOLE_SIMILAR
+    first = (_WHOLE if similar is None else _WHOLE_SIMILAR) if loose else 1
     state, result = whole(first * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False
     while result is Result.converged:

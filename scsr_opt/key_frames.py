@@ -46,7 +46,7 @@ _OLDEST = 100
 # turning disc lost 0.3 dB up to 1.6 times, and 0.5 at 4.5.
 _MORE, _SHARE = 4.2, 0.005
 # Going on from the picture before, a residual of so many tolerances is met nearer to the minimum than one from scratch:
-# twice as many added 0.001 % to what pictures of a car are above it, three times 0.003 % (docs/measurements.md).
+# 2 instead of 1.5 added up to 0.002 % to what pictures of a car are above it, 3 up to 0.006 % (docs/measurements.md).
 _NEARER = 2.0
 # Where less than this share of the usual weight saw the scene, a picture begins at playback: what has come into view
 # was not in the one before, whose border would be there instead, and go slowly, as only the prior decides.

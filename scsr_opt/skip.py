@@ -194,7 +194,7 @@ def plan_of(
 
 
 def _scene(motion: Motion) -> str:
-    if not motion.velocity.any() and not motion.acceleration.any():
+    if not motion.moves:
         return "at rest"
     if motion.layers is not None:
         return f"{len(motion.layers.depth)} layers"

@@ -15,7 +15,7 @@ def carry(motion: Motion, frames: float | int) -> Motion:
     """The motion `frames` later (earlier, if below 0), along its own trajectories: what was at q with velocity v and
     acceleration a is at q + v τ + ½ a τ² then, sensor pixels, with velocity v + a τ. What was hidden belongs to the
     hindmost layer. Without trust, which is of the moments around a key frame (`trusted`)."""
-    if frames == 0 or not _moves(motion):
+    if frames == 0 or not motion.moves:
         return motion
     after = jnp.asarray([frames], jnp.float32)
 
@@ -51,7 +51,7 @@ def _read(
 def moved_along(motion: Motion, frames: float | int, scale: int, pictures: Any) -> Any:
     """`pictures`, a tree of arrays, with each that is of the high-resolution picture's shape, (…, s·h, s·w), moved
     along `motion` for so many frames; the others as they are."""
-    if frames == 0 or not _moves(motion):
+    if frames == 0 or not motion.moves:
         return pictures
     shape = tuple(scale * side for side in motion.velocity.shape[1:])
     leaves, structure = jax.tree.flatten(pictures)
@@ -73,8 +73,3 @@ def _looked_up(pictures: list[Float[Array, "... H W"]], position: Float[Array, "
     shift = height // position.shape[1] * jax.image.resize(position - here, (2, height, width), "linear")
     rows, columns = jnp.indices((height, width), position.dtype) + shift
     return [bilinear(one.reshape(-1, height, width), rows, columns).reshape(one.shape) for one in pictures]
-
-
-def _moves(motion: Motion) -> bool:
-    """Whether anything does."""
-    return bool(motion.velocity.any() or motion.acceleration.any())

@@ -89,7 +89,12 @@ def _after_part(
     limit: Float[Array, ""],
     by_chance: Float[Array, "*hw"],
 ) -> tuple[Float[Array, "2 2 h w"], Float[Array, "h w"]]:
-    """`field`, velocity and acceleration, after a part of the schedule, and how well the velocity is known."""
+    """`field`, velocity and acceleration (sensor pixels per frame and per frame²), after a part of the schedule, and
+    how well the velocity is known, 0 to 1. In one program, as on a small sensor calls take as long as numbers.
+
+    `which` of the two is looked for, among moments within `reach` frames, in `steps` of at most `bound` sensor pixels,
+    by a `window` of so many, up to `limit`; `base`: what it stays near without texture.
+    """
     part = (jnp.abs(after) <= reach).astype(after.dtype)
     field, information = _refine(pictures, after, part, field, base, which, bound, window, steps)
     # Single windows that went astray are outvoted by their neighbours; an edge between two motions stays.
@@ -135,7 +140,6 @@ def _by_chance(pictures: Stretches) -> Float[Array, "*hw"]:
     return _CHANCE / jnp.clip(spikes, 1e-3, 1)
 
 
-@jax.jit
 def _believed(
     acceleration: Float[Array, "2 h w"],
     base: Float[Array, "2 h w"],
@@ -149,7 +153,6 @@ def _believed(
     return base + (1 - share)[None] * (acceleration - base)
 
 
-@jax.jit
 def _confidence(information: Float[Array, "3 h w"], longest: Float[Array, ""]) -> Float[Array, "h w"]:
     """How well the velocity is known, 0 to 1, by the variance of its poorer component over the recording, pixels."""
     a, b, d = information
@@ -157,7 +160,6 @@ def _confidence(information: Float[Array, "3 h w"], longest: Float[Array, ""]) -
     return 1 / (1 + longest**2 / jnp.maximum(poorest, 1e-12))
 
 
-@jax.jit
 def _refine(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],

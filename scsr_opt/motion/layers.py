@@ -336,8 +336,7 @@ def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:
 
 def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, in units of `noise`."""
-    moves = bool(motion.velocity.any() or motion.acceleration.any())
-    fields = (motion.velocity, motion.acceleration) if moves else None
+    fields = (motion.velocity, motion.acceleration) if motion.moves else None
     sides = _sides(sharp.picture, sharp.after, fields, np.float32(noise))
     sides = ndimage.gaussian_filter(np.asarray(sides), (0, _SUPPORT, _SUPPORT))
     # A surface that is hidden later was in view before, or the other way round: mostly the better side counts.

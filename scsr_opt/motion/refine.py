@@ -69,7 +69,7 @@ def refine(
             "`place` made of them, and B X."
         )
     longest = float(np.max(np.abs(np.asarray(samples.stop if samples.count else 0) - key), initial=1.0))
-    if not np.any(motion.velocity) and not np.any(motion.acceleration):
+    if not motion.moves:
         return motion
     if motion.layers is None:
         numbers = _numbers(motion, longest)

@@ -148,6 +148,11 @@ class Motion(eqx.Module):
         )
 
     @property
+    def moves(self) -> bool:
+        """Whether anything does."""
+        return bool(self.velocity.any() or self.acceleration.any())
+
+    @property
     def speed(self) -> Float[np.ndarray, "h w"]:
         """Sensor pixels per frame."""
         return np.hypot(*self.velocity)
@@ -338,7 +343,7 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
     the key frame, and `visible` is 0.
     """
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
-    if motion.trust is None and not np.any(motion.velocity) and not np.any(motion.acceleration):
+    if motion.trust is None and not motion.moves:
         moments = moments[:1]  # nothing moves: one moment serves all
     after = jnp.asarray(moments - np.float32(key))
     position, visible = seen_at(motion, after)

@@ -38,7 +38,7 @@ _GEOMETRIC = float(np.exp(-np.euler_gamma) / 2)
 def trusted(pictures: Stretches, motion: Motion) -> Motion:
     """`motion` with its `trust` measured on the recording's pictures."""
     after = np.asarray(pictures.after)
-    if after.size < 3 or not (motion.velocity.any() or motion.acceleration.any() or _something_moves(pictures)):
+    if after.size < 3 or not (motion.moves or _something_moves(pictures)):
         return motion
     # Pictures nearer to each other than a pixel's interval between spikes share their light and their error.
     interval = 1 / max(float(np.median(np.asarray(pictures.firing))), 1e-3) if pictures.firing is not None else 1.0

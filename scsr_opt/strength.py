@@ -10,7 +10,7 @@ picture made from the others has to predict them.
 import dataclasses
 import math
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -127,17 +127,20 @@ class _Part:
         """`held`: weights of the samples to predict, which count nothing in `placed`; `term`: f of the others; `first`:
         X^(0)."""
         self.image, self._term = first, term
-        self._placed, self._held, self._plain, self._first, self._state = placed, held, term, first, None
+        self._placed, self._held, self._plain, self._first = placed, held, term, first
+        self._states: dict[float, Any] = {}
 
     def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
-        """Makes the picture of this strength; it starts at the duals of the last one."""
-        problem = Problem(self._term, prior, jnp.asarray(strength, jnp.float32))
-        outcome = run(solver, problem, self._first, similar=self._state)
-        self._state, self.image = outcome.state, jnp.asarray(outcome.image)
+        """Makes the picture of this strength; it starts at the duals of the nearest one so far."""
+        problem = Problem(self._term, prior, np.float32(strength))
+        nearest = min(self._states, key=lambda other: abs(math.log(other / strength)), default=None)
+        similar = None if nearest is None else self._states[nearest]
+        state = run(solver, problem, self._first, similar=similar).state
+        self._states[strength], self.image = solver.kept(state), solver.image(state)
 
     def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
         """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
-        plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
+        plain = Problem(self._plain, prior, np.float32(strength))
         self._plain = self._term = solver.prepared(plain).data
         for _ in range(2 if self._placed.finest > 1 else 0):
             self.solve(solver, prior, strength)
@@ -243,7 +246,7 @@ def validated_strength(
         return tried[factor]
 
     best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
-    while missed(2 * best) < missed(best) and 2 * best < highest:
+    while missed(best) > missed(2 * best) and 2 * best < highest:
         best *= 2
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
         best /= 2

@@ -1,5 +1,6 @@
 """Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import cast
 
@@ -58,6 +59,8 @@ _EDGE = 3
 _SCATTERED = 0.5
 # Nor where they predict the recording worse than it, by more than this factor.
 _WORSE = 1.01
+# Layers are enough without the dense estimate as one more where they predict the recording better than it by so much.
+_CLEARLY = 0.95
 # What moves apart from the background is looked for on the rows and columns where something does, with a margin (sensor
 # pixels; the widest window of the dense estimate has a reach of 18), in steps that let compiled code be met again; if
 # they make up no more than this share of the sensor.
@@ -212,7 +215,7 @@ def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w
 def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray, "h w"], skip: bool) -> Motion:
     """What moves apart from the background, as layers or pixel by pixel; the background, if neither explains more."""
     box, everything = _box(unexplained), (slice(None), slice(None))
-    used, judged = (box, everything) if skip else (everything, box)
+    used, judged_on = (box, everything) if skip else (everything, box)
     part, before, total = pictures.part(*used), background.part(*used), unexplained.size
     everywhere = dense(part, start=before)
     noise = typical_noise(part, everywhere)
@@ -220,30 +223,40 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
     sparse = skip and everywhere.speed.size >= _MANY
 
     def predicts(motion: Motion) -> Missed:
-        return missed(part, motion, noise, sparse=sparse).part(*judged)
+        return missed(part, motion, noise, sparse=sparse).part(*judged_on)
 
     # An object that does not accelerate lost 0.9 dB by the freedom to; where something does, one turn shows it.
     with ThreadPoolExecutor(1) as beside:
-        straight = beside.submit(predicts, everywhere)
+        straight, resting = (beside.submit(predicts, motion) for motion in (everywhere, before))
         curved = accelerated(part, everywhere, start=before, turns=1)
-        by_curved, by_pixel = predicts(curved), straight.result()
+        by_curved, by_pixel, by_background = predicts(curved), straight.result(), resting.result()
     if by_curved.mean < _PREDICTS * by_pixel.mean:
         everywhere = accelerated(part, curved, start=before, turns=2)
         by_pixel = predicts(everywhere)
-    found = layered(part, before, everywhere, unexplained[used], total, skip=skip, sparse=sparse)
-    *by_found, by_background = in_threads(predicts, [*found, before])
-    candidates = list(zip(found, by_found, strict=True))
-    layers = [(one.layers, one, miss) for one, miss in candidates if one.layers is not None]
-    serving = [(one, miss) for of, one, miss in layers if _serve(of.label[judged], miss, by_pixel, total)]
+
+    def judged(make: Callable[[], Motion]) -> tuple[Motion, Missed, bool]:
+        motion = make()
+        miss, layers = predicts(motion), motion.layers
+        return motion, miss, layers is not None and _serve(layers.label[judged_on], miss, by_pixel, total)
+
+    makers = layered(part, before, everywhere, unexplained[used], total, skip=skip, sparse=sparse)
+    candidates = in_threads(judged, makers[:1] if skip else makers)
+    first, serves = candidates[0][1:]
+    if serves and first.mean < _CLEARLY * by_pixel.mean:
+        candidates = candidates[:1]
+    elif skip:
+        candidates += in_threads(judged, makers[1:])
+    serving = [(motion, miss) for motion, miss, serves in candidates if serves]
     # Where no layers were found, the background is all that is left of them.
-    otherwise = [(everywhere, by_pixel)] if layers else candidates
+    is_layered = any(motion.layers is not None for motion, *_ in candidates)
+    otherwise = [(everywhere, by_pixel)] if is_layered else [(motion, miss) for motion, miss, _ in candidates]
     motion, miss = min(serving or otherwise, key=lambda one: one[1].mean)
     # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing. What is hidden
     # for a while contradicts any motion, too, but all else is predicted.
     at_first, enough = by_background.mean, 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
     better = miss.mean < enough * at_first
     if better and miss.mean >= _HELPS * at_first:
-        better = contradicted(part, motion)[judged].sum() < _HELPS * unexplained[box].sum()
+        better = contradicted(part, motion)[judged_on].sum() < _HELPS * unexplained[box].sum()
     if better and motion is everywhere:  # in dim light predictions do not tell, and chance is taken off anyway
         motion = accelerated(part, motion, start=before)
     return motion.within(background, *used) if better else background

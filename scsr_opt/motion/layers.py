@@ -9,6 +9,7 @@ hidden in the key frame and the sample has to be left out.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import cast
 
 import equinox as eqx
@@ -76,7 +77,7 @@ def layered(
     *,
     skip: bool,
     sparse: bool,
-) -> list[Motion]:
+) -> list[Callable[[], Motion]]:
     """The scene as layers: `background`, further affine motions where that is contradicted, and the dense estimate
     `everywhere` where these do not explain enough.
 
@@ -85,19 +86,28 @@ def layered(
     its fits begin with a part of their points; `sparse`: whether one row and column in two tell which layer is in front
     and whether a last fit is the better one, which then begins with a part of its points, too.
 
-    **Returns:** motions with `layers` to choose from, or `background` alone if nothing else was found. Along the edges
-    of something that moves, the dense estimate takes what it uncovers for another surface; so there is one without it.
+    **Returns:** motions with `layers` to choose from, made as asked for, or `background` alone if nothing else was
+    found. Along the edges of something that moves, the dense estimate takes what it uncovers for another surface; so
+    the first one is without it, where that is possible.
     """
     # What is too fast to be heard against is not heard for either.
     fastest = _FASTEST * _top_speed(everywhere, moving)
     motions = _find(pictures, background, everywhere, moving, fastest, total, skip)
     noise = typical_noise(pictures, everywhere, _SHARPNESS)
     sharp = pictures.presmoothed(_SHARPNESS)
-    mismatches = in_threads(lambda one: _mismatch(sharp, one, noise) + _ENOUGH * (one.speed > fastest), motions)
-    numbers = [len(motions)]
-    if len(motions) > 2 and motions[-1] is everywhere:
-        numbers.insert(0, len(motions) - 1)
-    return in_threads(lambda n: _layers(pictures, motions[:n], mismatches[:n], everywhere, sparse=sparse), numbers)
+    number = len(motions)
+    first = number - 1 if number > 2 and motions[-1] is everywhere else number
+
+    def mismatch(motion: Motion) -> Float[np.ndarray, "h w"]:
+        return _mismatch(sharp, motion, noise) + _ENOUGH * (motion.speed > fastest)
+
+    mismatches = in_threads(mismatch, motions[:first])
+
+    def made(some: int) -> Motion:
+        of_some = mismatches + [mismatch(motion) for motion in motions[first:some]]
+        return _layers(pictures, motions[:some], of_some, everywhere, sparse=sparse)
+
+    return [partial(made, some) for some in range(first, number + 1)]
 
 
 def relabelled(pictures: Stretches, motion: Motion) -> Motion:
@@ -135,12 +145,13 @@ def _layers(
             break
         kept = np.flatnonzero(sizes >= _FEWEST_PIXELS) if sizes.max() >= _FEWEST_PIXELS else [0]
         motions, mismatches = [motions[k] for k in kept], [mismatches[k] for k in kept]
-    motions = [
-        motion
-        if motion is background or motion is everywhere
-        else _sharpened(pictures, motion, np.asarray(label == k), sparse=sparse)
-        for k, motion in enumerate(motions)
-    ]
+
+    def sharpened(k: int) -> Motion:
+        if motions[k] is background or motions[k] is everywhere:
+            return motions[k]
+        return _sharpened(pictures, motions[k], np.asarray(label == k), sparse=sparse)
+
+    motions = in_threads(sharpened, range(len(motions)))
     layers = Layers(
         velocity=np.stack([motion.velocity for motion in motions]),
         acceleration=np.stack([motion.acceleration for motion in motions]),
@@ -265,7 +276,11 @@ def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h 
     # Fewer pixels may tell less: the better of the two.
     every = 2 if sparse else 1
     inside = inside[::every, ::every]
-    before, after = (variance_along(pictures, m, every=every)[inside].mean() for m in (motion, found))
+
+    def varies(one: Motion) -> float:
+        return float(variance_along(pictures, one, every=every)[inside].mean())
+
+    before, after = in_threads(varies, (motion, found))
     return found if after < before else motion
 
 
@@ -409,14 +424,16 @@ def _depth(pictures: Stretches, layers: Layers, *, sparse: bool) -> Int[np.ndarr
     voting = np.asarray(sharp.picture)[some, ::every, ::every]
     after = np.asarray(sharp.after)
     near = (np.abs(after) <= 10).astype(np.float32)
-    shown, there = [], []
-    for k in range(number):
+
+    def seen(k: int) -> tuple[Float[np.ndarray, "n rows columns"], Bool[np.ndarray, "n rows columns"]]:
+        """How far the layer is from what is shown, squared, and where it would be."""
         velocity, acceleration = layers.velocity[k], layers.acceleration[k]
         origin = inverse(velocity, acceleration, after[some], every=every)
         key_picture = drift(sharp.picture, after, near, (velocity, acceleration)).mean
         picture, member = map(np.asarray, _look_up(key_picture, (layers.label == k).astype(np.float32), origin))
-        shown.append((picture - voting) ** 2)
-        there.append(member > 0.5)
+        return (picture - voting) ** 2, member > 0.5
+
+    shown, there = zip(*in_threads(seen, range(number)), strict=True)
     wins = np.zeros(number, np.int32)
     for front in range(number):
         for back in range(number):

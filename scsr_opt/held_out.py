@@ -26,18 +26,22 @@ SHARE, STRETCH = 5, 8
 def held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
     """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `merged`: whether samples
     are stretches of time already where nothing moves."""
-    rows, columns = np.indices(moved.shape)
-    pixel = np.asarray(samples.row) * moved.shape[1] + np.asarray(samples.column)
-    whole = (moved >= MOVED).reshape(-1)
+    height, width = moved.shape
+    down, right = np.arange(height, dtype=np.int32)[:, None], np.arange(width, dtype=np.int32)
+    pixel = np.asarray(samples.row) * np.int32(width) + np.asarray(samples.column)
+    whole = moved >= MOVED
     # A knight's move apart: no two neighbours.
-    held = whole[pixel] & ((2 * rows + columns) % SHARE == 0).reshape(-1)[pixel]
-    if not whole.all():
-        duration = np.asarray(samples.stop - samples.start)
-        typical = 0.0 if merged else float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
-        stretch = (samples.start + samples.stop) / 2 // max(STRETCH, 2 * typical)
-        by_time = (stretch.astype(np.int32) + _phase(moved.shape).reshape(-1)[pixel]) % SHARE == 0
-        held = np.where(whole[pixel], held, by_time)
-    return np.asarray(held)
+    held = (whole & ((2 * down + right) % SHARE == 0)).reshape(-1)[pixel]
+    if whole.all():
+        return held
+    duration = np.asarray(samples.stop - samples.start)
+    typical = 0.0 if merged else float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
+    length = np.float32(max(STRETCH, 2 * typical))
+    resting = np.flatnonzero(~whole.reshape(-1)[pixel])
+    start, stop = (np.asarray(of)[resting] for of in (samples.start, samples.stop))
+    stretch = np.floor((start + stop) / (2 * length)).astype(np.int32)
+    held[resting] = (stretch + _phase(moved.shape).reshape(-1)[pixel[resting]]) % SHARE == 0
+    return held
 
 
 def _phase(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:

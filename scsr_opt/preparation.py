@@ -313,15 +313,15 @@ def prepare(
         σ = learned["optics_sigma"] = _sigma_of_optics(taken, motion, stream, rounds, image)
         prepared = replace(prepared, rounds=replace(rounds, optics=Blur.gaussian(shape, σ * scale)))
     if asked.validates:
-        λ, near = prepared.validated() if found is None else found.result()
+        λ, near, term = prepared.validated() if found is None else found.result()
         rounds = replace(prepared.rounds, strength=jnp.asarray(λ, jnp.float32))
-        prepared = replace(prepared, rounds=rounds, near=near)
+        prepared = replace(prepared, rounds=rounds, near=near, term=term)
     if solver is None:
         apart = taken.placed.on_sensor and prepared.rounds.optics is None
         chosen = default_solver(prior, strength=λ, scale=scale, apart=apart)
         prepared = replace(prepared, rounds=replace(prepared.rounds, solver=chosen))
     clock.lap("strength")  # what it takes beyond the samples, where it is looked for beside them
-    return replace(prepared, term=prepared.rounds.term(taken.placed))
+    return replace(prepared, term=prepared.rounds.term(taken.placed, sums=prepared.term))
 
 
 # Sensor pixels that it takes, at least, to predict a tenth of them from the others.

@@ -101,9 +101,12 @@ class Rounds:
             outcome = self._reweighted(term, placed, image, state, near, self.robust)
         return Found(outcome, _blurred(term, jnp.asarray(outcome.image)))
 
-    def term(self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None) -> DataTerm:
-        """The quadratic that a solve begins with, without corrections; `robust`: factors on the weights."""
-        term = accumulate(placed, robust=robust, optics=self.optics)
+    def term(
+        self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None, *, sums: DataTerm | None = None
+    ) -> DataTerm:
+        """The quadratic that a solve begins with, without corrections; `robust`: factors on the weights; `sums`: M, c
+        and e, where they are known."""
+        term = accumulate(placed, robust=robust, optics=self.optics) if sums is None else sums
         return self.solver.prepared(Problem(term, self.prior, self.strength)).data
 
     def _solved(

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.camera.measuring import Intervals, Measuring
-from scsr_opt.camera.samples import Samples, spike_intervals
+from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
@@ -108,12 +108,17 @@ def noise_of_mean(stream: Stream) -> float:
 
 
 class Validated(NamedTuple):
-    """A strength λ, and of the pictures that were made to find it that of the strength nearest to it (before a prior
-    that stood in is accounted for), (H, W), intensity: a start much nearer to the solution than playback. None where
-    that is of a part of the sensor only, or not finite."""
+    """A strength λ, and what finding it left behind where the whole picture was one part.
+
+    **Fields:**
+    - `image`: of the pictures that were made that of the strength nearest to it (before a prior that stood in is
+      accounted for), (H, W), intensity: a start much nearer to the solution than playback. None if it is not finite.
+    - `term`: M, c and e of all samples, those that were held out added to the others, if work is to be skipped.
+    """
 
     strength: float
-    image: Float[Array, "H W"] | None
+    image: Float[Array, "H W"] | None = None
+    term: DataTerm | None = None
 
 
 class _Part:
@@ -123,16 +128,18 @@ class _Part:
     **Attributes:** `image`, the last picture, (H, W).
     """
 
-    def __init__(self, placed: PlacedSamples, held: Float[Array, " n"], term: DataTerm, first: Float[Array, "H W"]):
-        """`held`: weights of the samples to predict, which count nothing in `placed`; `term`: f of the others; `first`:
-        X^(0)."""
-        self.image, self._term = first, term
-        self._placed, self._held, self._plain, self._first = placed, held, term, first
+    def __init__(
+        self, kept: PlacedSamples, held: PlacedSamples, first: Float[Array, "H W"], lens: LinearOperator | None
+    ):
+        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0)."""
+        self.image, self._first = first, first
+        self._kept, self._held = kept, held
+        self._sums = self._plain = self._term = accumulate(kept, optics=lens)
         self._states: dict[float, Any] = {}
 
     def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
         """Makes the picture of this strength; it starts at the duals of the nearest one so far."""
-        problem = Problem(self._term, prior, np.float32(strength))
+        problem = Problem(self._term, prior, jnp.asarray(strength, jnp.float32))
         nearest = min(self._states, key=lambda other: abs(math.log(other / strength)), default=None)
         similar = None if nearest is None else self._states[nearest]
         state = run(solver, problem, self._first, similar=similar).state
@@ -140,15 +147,19 @@ class _Part:
 
     def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
         """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
-        plain = Problem(self._plain, prior, np.float32(strength))
+        plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
         self._plain = self._term = solver.prepared(plain).data
-        for _ in range(2 if self._placed.finest > 1 else 0):
+        for _ in range(2 if self._kept.finest > 1 else 0):
             self.solve(solver, prior, strength)
-            self._term = with_exposure(self._plain, self._placed, self.image)
+            self._term = with_exposure(self._plain, self._kept, self.image)
 
     def missed(self) -> Float[Array, "2"]:
         """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
-        return _missed(self._placed, self._held, self._plain, self.image)
+        return _missed(self._held, self._plain, self.image)
+
+    def term(self) -> DataTerm:
+        """M, c and e of all its samples."""
+        return _with(self._sums, self._held)
 
 
 def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
@@ -194,13 +205,16 @@ def validated_strength(
     all_taken, path = (None, taken) if isinstance(taken, Trajectory) else (taken, taken.path)
     on_sensor = len(path.position) == 1 if all_taken is None else all_taken.placed.on_sensor
 
+    # What is held out has to be in pieces.
+    as_taken = None if all_taken is None or (all_taken.merged_for > 1).any() else all_taken
+
     def made(area: tuple[slice, slice]) -> _Part | None:
         # Sums of few pixels are too few to tell.
         merge = skip and int(good[area].sum()) >= _FEWEST
-        pieces, part, first, merged = all_taken, stream.part(*area), image[_scaled(area, scale)], False
+        pieces, part, first, merged = as_taken, stream.part(*area), image[_scaled(area, scale)], False
         of_part = None if gain is None else gain[area]
-        if pieces is None or good[area].shape != good.shape or (pieces.merged_for > 1).any():
-            # As what is held out has to be in pieces, no more than these are merged, if they hold intervals enough.
+        if pieces is None or good[area].shape != good.shape:
+            # So no more than these are merged, if they hold intervals enough.
             if merge and isinstance(measuring, Intervals):
                 if on_sensor and measuring.noise is None:
                     ends = measuring.ends
@@ -224,7 +238,7 @@ def validated_strength(
     found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
     parts = [part for _, part in found]
     if not parts:
-        return Validated(least, None)
+        return Validated(least)
     # A prior that is used by its gradient need not have a proximal step.
     kind = solver if isinstance(solver, Smooth) else FISTA()
     solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
@@ -253,13 +267,14 @@ def validated_strength(
     best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
     by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in found]))
     beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
-    times, near = max(at_least, beyond * best), None
+    times, near, term = max(at_least, beyond * best), None, None
     if whole:
+        term = parts[0].term() if skip and as_taken is not None else None
         near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
         near = near if bool(jnp.isfinite(near).all()) else None
     if learned:
         times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
-    return Validated(least * times, near)
+    return Validated(least * times, near, term)
 
 
 def _chosen(
@@ -307,10 +322,15 @@ def _split(
 ) -> _Part | None:
     """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`."""
     held, weight = held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
-    if min(np.count_nonzero(weight * some) for some in (held, ~held)) < _FEWEST:
+    counted = np.flatnonzero(held & (weight > 0))
+    if min(counted.size, np.count_nonzero(weight) - counted.size) < _FEWEST:
         return None
-    rest = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Part(rest, jnp.asarray(weight * held), accumulate(rest, optics=optics), first)
+    # Of few lengths, for compiled code to be met again.
+    filling = np.zeros(padded_length(counted.size) - counted.size, counted.dtype)
+    chosen = taken.placed.only(jnp.asarray(np.concatenate([counted, filling]), jnp.int32))
+    chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], (0, filling.size)))
+    kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
+    return _Part(kept, chosen, first, optics)
 
 
 def _part_at_rest(
@@ -347,7 +367,7 @@ def _part_at_rest(
     kept, held = map(placed, light_at_rest(part.spikes, ends=ends))
     if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
         return None
-    return _Part(held, held.weight, accumulate(kept, optics=optics), first)
+    return _Part(kept, held, first, optics)
 
 
 def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
@@ -367,12 +387,21 @@ def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) ->
 
 
 @eqx.filter_jit
-def _missed(
-    placed: PlacedSamples, held: Float[Array, " n"], term: DataTerm, image: Float[Array, "H W"]
-) -> Float[Array, "2"]:
+def _missed(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
     """Sums of the weighted squares by which a picture misses the held-out samples, and of their weights."""
-    error = placed.read(term.blurred(image)) - placed.value
-    return jnp.stack([jnp.sum(held * error**2), jnp.sum(held)])
+    error = held.read(term.blurred(image)) - held.value
+    return jnp.stack([jnp.sum(held.weight * error**2), jnp.sum(held.weight)])
+
+
+@eqx.filter_jit
+def _with(term: DataTerm, more: PlacedSamples) -> DataTerm:
+    """The term with further samples."""
+    found = accumulate(more, optics=term.optics)
+
+    def sums(of: DataTerm) -> tuple[Array, Array, Array]:
+        return of.stencil.planes, of.target, of.energy
+
+    return eqx.tree_at(sums, term, jax.tree.map(jnp.add, sums(term), sums(found)))
 
 
 def _vertex(before: float, at: float, after: float) -> float:

@@ -73,12 +73,9 @@ class Samples(eqx.Module):
     def padded(self) -> "Samples":
         """The same samples, padded with weight 0 to one of few lengths.
 
-        Code that was compiled for one number of samples then serves for others. Lengths are 2^e and 3·2^e, at least
-        1024: up to half as many are added; from a million on also 5·2^e and 7·2^e.
+        Code that was compiled for one number of samples then serves for others.
         """
-        n = self.row.size
-        step = 1 << max(0, n.bit_length() - (2 if n < _MANY else 3))
-        extra = max(-n % step, 1024 - n)
+        extra = padded_length(self.row.size) - self.row.size
 
         def pad(values: Shaped[np.ndarray | Array, " n"]) -> Shaped[np.ndarray, " m"]:
             return np.pad(values, (0, extra))
@@ -86,6 +83,13 @@ class Samples(eqx.Module):
         return Samples(
             pad(self.row), pad(self.column), pad(self.start), pad(self.stop), pad(self.value), pad(self.weight)
         )
+
+
+def padded_length(n: int) -> int:
+    """The length that n samples are padded to: 2^e or 3·2^e, at least 1024, so that up to half as many are added; from
+    a million on also 5·2^e or 7·2^e."""
+    step = 1 << max(0, n.bit_length() - (2 if n < _MANY else 3))
+    return max(n + -n % step, 1024)
 
 
 def spike_intervals(

@@ -17,7 +17,8 @@ from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, flag, picture_shape, pixel_gain, prior_strength, whole
-from scsr_opt.motion.estimate import Automatic, Estimator, estimate_motion
+from scsr_opt.motion.alignment import Stretches
+from scsr_opt.motion.estimate import Automatic, Estimator, comparable, motion_in
 from scsr_opt.motion.handed_in import checked, given
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.blur import Blur
@@ -86,17 +87,18 @@ class Asked:
     validates: bool
     one_by_one: bool
 
-    def estimated(self, gain: Float[np.ndarray, "h w"] | None) -> Motion:
-        """The motion, by the estimator."""
+    def compared(self, gain: Float[np.ndarray, "h w"] | None) -> Stretches | None:
+        """The pictures that show the motion, if any can."""
         stream = self.stream
-        return estimate_motion(
-            stream.spikes,
-            key=stream.key,
-            white_rate=stream.white_rate,
-            estimator=self.estimator,
-            bad_pixels=stream.bad_pixels,
-            gain=gain,
+        return comparable(
+            stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gain
         )
+
+    def estimated(self, pictures: Stretches | None) -> Motion:
+        """The motion that these show, by the estimator."""
+        if pictures is None:
+            return Motion.none(*self.stream.spikes.shape[1:])
+        return motion_in(pictures, self.estimator)
 
     def followed(self, motion: Motion) -> Trajectory:
         """A motion through all frames."""
@@ -266,13 +268,15 @@ def prepare(
     def gains_at_rest() -> Float[np.ndarray, "h w"]:
         return gain_at_rest(stream.spikes, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, skip=skip)
 
+    # First alone: of small pictures NumPy takes three times as long in two threads as in one after the other.
+    pictures = asked.compared(gains) if isinstance(velocity, Estimator) else None
     with ThreadPoolExecutor(1) as beside:  # what the motion is not needed for
         by_noise = beside.submit(noise_of_mean, stream)
         started = beside.submit(first_picture, stream, shape, sharp=True)
         # Little work, where windows of the sensor tell; all of it waits until it is needed.
         at_rest = beside.submit(gains_at_rest) if looked_for is not None and skip else None
         if isinstance(velocity, Estimator):
-            motion = asked.estimated(gains)
+            motion = asked.estimated(pictures)
         elif isinstance(velocity, Motion):
             motion = checked(velocity, height, width)
         else:

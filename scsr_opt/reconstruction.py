@@ -146,7 +146,7 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
         gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=prepared.resting)
         learned["gain_spread"] = spread_of(gains, known)
         if asked.estimator is not None:  # a pattern, which rests, had been among what moves
-            motion = asked.estimated(gains)
+            motion = asked.estimated(asked.compared(gains))
             measured_as = asked.measured(motion, None)
             known = gain_is_known(motion.moved(len(stream.spikes)))
             gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=prepared.resting)

@@ -331,8 +331,11 @@ def estimate_motion(
     frames shows no motion.
     """
     pictures = comparable(spikes, key=key, white_rate=white_rate, bad_pixels=bad_pixels, gain=gain)
-    if pictures is None:
-        return Motion.none(*spikes.shape[1:])
+    return Motion.none(*spikes.shape[1:]) if pictures is None else motion_in(pictures, estimator)
+
+
+def motion_in(pictures: Stretches, estimator: Estimator | None = None) -> Motion:
+    """The motion that these pictures (`comparable`) show, as `estimate_motion` says."""
     motion = (Automatic() if estimator is None else estimator)(pictures)
     return trusted(pictures, motion)
 

@@ -136,7 +136,7 @@ def test_motion_during_exposures_is_in_the_measure(monkeypatch):
     rng = np.random.default_rng(0)
     dim = (rng.random((41, 20, 24)) < 0.08).astype(np.uint8)  # long exposures
     motion = Motion.of_velocity(np.broadcast_to(np.array([0.4, -0.6], np.float32)[:, None, None], (2, 20, 24)))
-    monkeypatch.setattr(preparation, "estimate_motion", lambda *_, **__: motion)
+    monkeypatch.setattr(preparation, "motion_in", lambda *_: motion)
     posed = pose(moment(dim, scale=2), strength=0.002)
     assert posed.placed.finest > 1
     for image in (posed.first, jnp.asarray(rng.random((40, 48)), jnp.float32)):

@@ -129,12 +129,20 @@ class _Part:
     """
 
     def __init__(
-        self, kept: PlacedSamples, held: PlacedSamples, first: Float[Array, "H W"], lens: LinearOperator | None
+        self,
+        kept: PlacedSamples,
+        held: PlacedSamples,
+        first: Float[Array, "H W"],
+        lens: LinearOperator | None,
+        *,
+        both: bool = False,
     ):
-        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0)."""
+        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0); `both`: whether
+        `term` will be asked for, whose sums are found beside the others."""
         self.image, self._first = first, first
         self._kept, self._held = kept, held
-        self._sums = self._plain = self._term = accumulate(kept, optics=lens)
+        self._sums = in_threads(partial(accumulate, optics=lens), [kept, held] if both else [kept])
+        self._plain = self._term = self._sums[0]
         self._states: dict[float, Any] = {}
 
     def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
@@ -159,7 +167,7 @@ class _Part:
 
     def term(self) -> DataTerm:
         """M, c and e of all its samples."""
-        return _with(self._sums, self._held)
+        return _together(*self._sums)
 
 
 def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
@@ -232,7 +240,7 @@ def validated_strength(
                 longest=STRETCH if merged else 1,
                 on_sensor=skip,
             )
-        return _split(pieces, moved[area], merged, optics, first)
+        return _split(pieces, moved[area], merged, optics, first, both=skip and pieces is as_taken)
 
     areas = _chosen(image, scale, side, good)
     found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
@@ -319,8 +327,11 @@ def _split(
     merged: bool,
     optics: LinearOperator | None,
     first: Float[Array, "H W"],
+    *,
+    both: bool,
 ) -> _Part | None:
-    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`."""
+    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `both`: as
+    of `_Part`."""
     held, weight = held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
     counted = np.flatnonzero(held & (weight > 0))
     if min(counted.size, np.count_nonzero(weight) - counted.size) < _FEWEST:
@@ -330,7 +341,7 @@ def _split(
     chosen = taken.placed.only(jnp.asarray(np.concatenate([counted, filling]), jnp.int32))
     chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], (0, filling.size)))
     kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Part(kept, chosen, first, optics)
+    return _Part(kept, chosen, first, optics, both=both)
 
 
 def _part_at_rest(
@@ -394,14 +405,13 @@ def _missed(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> 
 
 
 @eqx.filter_jit
-def _with(term: DataTerm, more: PlacedSamples) -> DataTerm:
-    """The term with further samples."""
-    found = accumulate(more, optics=term.optics)
+def _together(some: DataTerm, others: DataTerm) -> DataTerm:
+    """The term of some samples and of others."""
 
     def sums(of: DataTerm) -> tuple[Array, Array, Array]:
         return of.stencil.planes, of.target, of.energy
 
-    return eqx.tree_at(sums, term, jax.tree.map(jnp.add, sums(term), sums(found)))
+    return eqx.tree_at(sums, some, jax.tree.map(jnp.add, sums(some), sums(others)))
 
 
 def _vertex(before: float, at: float, after: float) -> float:

@@ -133,11 +133,16 @@ def _median(values: Float[Array, "c h w"]) -> Float[Array, "c h w"]:
 
 def _by_chance(pictures: Stretches) -> Float[Array, "*hw"]:
     """`_CHANCE`, times the number of pictures that the intervals of a pixel last: these share its noise."""
-    if pictures.firing is None or pictures.after.size < 2:
+    firing, after = pictures.firing, pictures.after
+    if firing is None or after.size < 2:
         return jnp.asarray(_CHANCE, jnp.float32)
-    frames = (pictures.after[-1] - pictures.after[0]) / (pictures.after.size - 1)
-    spikes = smooth(pictures.firing, jnp.asarray(_WIDE)) * frames
-    return _CHANCE / jnp.clip(spikes, 1e-3, 1)
+    return pictures.once("by chance", lambda: _shared(firing, after))
+
+
+@jax.jit
+def _shared(firing: Float[Array, "h w"], after: Float[Array, " n"]) -> Float[Array, "h w"]:
+    frames = (after[-1] - after[0]) / (after.size - 1)
+    return _CHANCE / jnp.clip(smooth(firing, jnp.asarray(_WIDE)) * frames, 1e-3, 1)
 
 
 def _believed(

@@ -127,7 +127,7 @@ class Automatic(Estimator):
     skip: bool = True
 
     def __call__(self, pictures: Stretches) -> Motion:
-        first, last = float(pictures.after[0]), float(pictures.after[-1])
+        first, last = np.asarray(pictures.after)[[0, -1]].tolist()
         middle = (first + last) / 2
         found, simple = self._chosen(pictures)
         if simple or abs(middle) <= _ASIDE * (last - first) / 2:

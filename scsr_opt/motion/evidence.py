@@ -34,8 +34,8 @@ _SPIKES = 2.0
 
 def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where the recording contradicts `motion`, see above."""
-    evidence, drifted, _ = _evidence(pictures, motion)
-    return np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT)) & heard(pictures, motion)
+    evidence, drifted, _ = map(np.asarray, _evidence(pictures, motion))
+    return (evidence > _CONTRADICTION) & (drifted > _DRIFT) & heard(pictures, motion)
 
 
 def heard(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
@@ -57,13 +57,13 @@ def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarr
     does: any motion by half a pixel over the recording would contradict rest, and there are spikes to show it."""
 
     def found() -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        evidence, drifted, least = _evidence(pictures, None)
-        moving = np.asarray((evidence > _CONTRADICTION) & (drifted > _DRIFT))
+        evidence, drifted, least = map(np.asarray, _evidence(pictures, None))
+        moving = (evidence > _CONTRADICTION) & (drifted > _DRIFT)
         certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
         firing = _firing_around(pictures)
         if firing is not None:
-            certain &= firing * (pictures.after[-1] - pictures.after[0]) >= _SPIKES
-        return moving, np.asarray(certain)
+            certain &= firing * np.ptp(np.asarray(pictures.after)) >= _SPIKES
+        return moving, certain
 
     return pictures.once("at rest", found)
 

@@ -153,6 +153,11 @@ class _Part:
         state = run(solver, problem, self._first, similar=similar).state
         self._states[strength], self.image = solver.kept(state), solver.image(state)
 
+    @property
+    def begun(self) -> bool:
+        """Whether there is a picture that others can start from."""
+        return bool(self._states)
+
     def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
         """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
         plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
@@ -268,6 +273,8 @@ def validated_strength(
         return tried[factor]
 
     best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
+    if not any(part.begun for part in parts):
+        missed(2.0)  # from nothing a smoother picture is found sooner, and is a start for others
     while missed(best) > missed(2 * best) and 2 * best < highest:
         best *= 2
     while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
@@ -408,7 +415,7 @@ def _missed(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> 
 def _together(some: DataTerm, others: DataTerm) -> DataTerm:
     """The term of some samples and of others."""
 
-    def sums(of: DataTerm) -> tuple[Array, Array, Array]:
+    def sums(of: DataTerm) -> Any:
         return of.stencil.planes, of.target, of.energy
 
     return eqx.tree_at(sums, some, jax.tree.map(jnp.add, sums(some), sums(others)))

@@ -102,7 +102,7 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
             scattered = Layers(velocity, np.zeros_like(velocity), label, np.array([0, 1], np.int32))
             found = [Motion.of_layers(scattered, everywhere.confidence)] if with_scattered else []
             more = layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse) if with_good else []
-            return [before, *found, *more]
+            return [*(lambda motion=motion: motion for motion in [before, *found]), *more]
 
         monkeypatch.setattr(estimate, "layered", candidates)
         return Automatic()(pictures)
@@ -113,6 +113,34 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
     assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
     alone = found_by(with_scattered=False)
     assert alone.layers is None and not alone.speed.any()
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(small, skip, monkeypatch):
+    """What has the dense estimate as one more layer is made then only if nothing is to be skipped, and not chosen."""
+    _, pictures = small
+    layered, good, asked = estimate.layered, Automatic(skip=skip)(pictures), []
+    assert good.layers is not None
+
+    def with_another(*given, **options):
+        makers = layered(*given, **options)
+
+        def another() -> Motion:
+            asked.append(None)
+            return makers[0]()
+
+        return [makers[0], another]
+
+    def found(clearly: float) -> tuple[Motion, int]:
+        asked.clear()
+        monkeypatch.setattr(estimate, "_CLEARLY", clearly)
+        return Automatic(skip=skip)(pictures), len(asked)
+
+    monkeypatch.setattr(estimate, "layered", with_another)
+    first, made = found(1.0)
+    assert made == (0 if skip else 1)
+    np.testing.assert_array_equal(first.layers.label, good.layers.label)
+    assert found(0.0)[1] == 1
 
 
 def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):

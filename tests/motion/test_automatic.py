@@ -139,6 +139,7 @@ def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(s
     monkeypatch.setattr(estimate, "layered", with_another)
     first, made = found(1.0)
     assert made == (0 if skip else 1)
+    assert first.layers is not None
     np.testing.assert_array_equal(first.layers.label, good.layers.label)
     assert found(0.0)[1] == 1
 

@@ -282,6 +282,7 @@ def prepare(
         else:
             motion = given(velocity, height, width)
         noise, image = by_noise.result(), started.result()
+    del pictures  # hundreds of megabytes where the sensor is large
     clock.lap("motion")
 
     learned: dict[str, float] = {}

@@ -153,10 +153,12 @@ def solve(prepared: Prepared, state: Any = None) -> Solution:
             prepared = replace(prepared, motion=motion, plan=asked.plan(motion, measured_as, prepared.noise))
         taken = measured_as.with_gain(gains, known, prepared.noise)
         prepared = replace(prepared, taken=taken, gains=gains)
+        term = None
         if asked.validates and turn == 0:  # a fixed pattern asked for more
-            λ = jnp.asarray(prepared.validated().strength, jnp.float32)
-            prepared = replace(prepared, rounds=replace(prepared.rounds, strength=λ))
-        found = prepared.rounds(taken.placed, image, found.outcome.state)
+            λ, _, sums = prepared.validated()
+            prepared = replace(prepared, rounds=replace(prepared.rounds, strength=jnp.asarray(λ, jnp.float32)))
+            term = prepared.rounds.term(taken.placed, sums=sums)
+        found = prepared.rounds(taken.placed, image, found.outcome.state, term=term)
         stages += found.outcome.stages
     for _ in range(asked.refine):
         if not found.outcome.result.good:

@@ -105,7 +105,7 @@ class Rounds:
         self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None, *, sums: DataTerm | None = None
     ) -> DataTerm:
         """The quadratic that a solve begins with, without corrections; `robust`: factors on the weights; `sums`: M, c
-        and e, where they are known."""
+        and e with these, where they are known."""
         term = accumulate(placed, robust=robust, optics=self.optics) if sums is None else sums
         return self.solver.prepared(Problem(term, self.prior, self.strength)).data
 

@@ -113,7 +113,8 @@ class Validated(NamedTuple):
     **Fields:**
     - `image`: of the pictures that were made that of the strength nearest to it (before a prior that stood in is
       accounted for), (H, W), intensity: a start much nearer to the solution than playback. None if it is not finite.
-    - `term`: M, c and e of all samples, those that were held out added to the others, if work is to be skipped.
+    - `term`: M, c and e of all samples, those that were held out added to the others, if work is to be skipped; None
+      where strengths were tried on other samples than those of the picture.
     """
 
     strength: float
@@ -133,7 +134,7 @@ class _Part:
         kept: PlacedSamples,
         held: PlacedSamples,
         first: Float[Array, "H W"],
-        lens: LinearOperator | None,
+        optics: LinearOperator | None,
         *,
         both: bool = False,
     ):
@@ -141,7 +142,7 @@ class _Part:
         `term` will be asked for, whose sums are found beside the others."""
         self.image, self._first = first, first
         self._kept, self._held = kept, held
-        self._sums = in_threads(partial(accumulate, optics=lens), [kept, held] if both else [kept])
+        self._sums = in_threads(partial(accumulate, optics=optics), [kept, held] if both else [kept])
         self._plain = self._term = self._sums[0]
         self._states: dict[float, Any] = {}
 
@@ -170,9 +171,9 @@ class _Part:
         """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
         return _missed(self._held, self._plain, self.image)
 
-    def term(self) -> DataTerm:
-        """M, c and e of all its samples."""
-        return _together(*self._sums)
+    def term(self) -> DataTerm | None:
+        """M, c and e of all its samples, if those of `both` are known."""
+        return _together(*self._sums) if len(self._sums) == 2 else None
 
 
 def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
@@ -198,7 +199,7 @@ def validated_strength(
 ) -> Validated:
     """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more (`_BEYOND`).
 
-    Strengths a factor of 2 apart are tried from that of the noise on, the best is interpolated. Up to three parts of
+    Strengths a factor of 2 apart around that of the noise are tried, the best is interpolated. Up to three parts of
     the picture serve, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: a plain
     one, one of middling contrast and a rich one, as one part alone may ask for a quarter or for four times of what the
     whole does. A lens makes the whole picture one part, as its blur is made for one size.
@@ -284,7 +285,7 @@ def validated_strength(
     beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
     times, near, term = max(at_least, beyond * best), None, None
     if whole:
-        term = parts[0].term() if skip and as_taken is not None else None
+        term = parts[0].term()
         near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
         near = near if bool(jnp.isfinite(near).all()) else None
     if learned:
@@ -344,9 +345,9 @@ def _split(
     if min(counted.size, np.count_nonzero(weight) - counted.size) < _FEWEST:
         return None
     # Of few lengths, for compiled code to be met again.
-    filling = np.zeros(padded_length(counted.size) - counted.size, counted.dtype)
-    chosen = taken.placed.only(jnp.asarray(np.concatenate([counted, filling]), jnp.int32))
-    chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], (0, filling.size)))
+    filling = (0, padded_length(counted.size) - counted.size)
+    chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
+    chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
     kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
     return _Part(kept, chosen, first, optics, both=both)
 

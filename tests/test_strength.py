@@ -17,6 +17,7 @@ from scsr_opt.demo import psnr
 from scsr_opt.held_out import held_out, light_at_rest
 from scsr_opt.motion import Motion
 from scsr_opt.motion.handed_in import given
+from scsr_opt.operators.sampling import accumulate
 from scsr_opt.placing import Stream, first_picture, measured
 from scsr_opt.priors import (
     BilateralTotalVariation,
@@ -178,9 +179,15 @@ def test_what_was_measured_serves_again_where_nothing_is_merged():
     assert (taken.merged_for == 1).all()
     asked = {"scale": SCALE, "prior": TotalVariation(), "solver": FISTA(), "measuring": Intervals()}
     first, apart = first_of(stream), taken._replace(merged_for=2 * taken.merged_for)
-    again = validated_strength(stream, motion, taken, first, **asked).strength
-    anew = validated_strength(stream, motion, apart, first, **asked).strength
-    assert again == anew
+    again = validated_strength(stream, motion, taken, first, **asked)
+    anew = validated_strength(stream, motion, apart, first, **asked)
+    assert again.strength == anew.strength
+    # And what was summed for it is the picture's data term, but for the order of sums.
+    whole = accumulate(taken.placed)
+    assert again.term is not None and anew.term is None
+    for found, wanted in zip(jax.tree.leaves(again.term), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+    assert validated_strength(stream, motion, taken, first, **asked, skip=False).term is None
 
 
 def test_at_rest_a_few_pixels_are_validated_by_their_intervals():

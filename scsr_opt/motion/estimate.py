@@ -241,8 +241,8 @@ def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray
 
     makers = layered(part, before, everywhere, unexplained[used], total, skip=skip, sparse=sparse)
     candidates = in_threads(judged, makers[:1] if skip else makers)
-    first, serves = candidates[0][1:]
-    if serves and first.mean < _CLEARLY * by_pixel.mean:
+    _, by_first, serves = candidates[0]
+    if serves and by_first.mean < _CLEARLY * by_pixel.mean:
         candidates = candidates[:1]
     elif skip:
         candidates += in_threads(judged, makers[1:])

@@ -84,7 +84,7 @@ class PlacedSamples(eqx.Module):
 
     **Fields:**
     - `taps`: (K, n), the positions, from the middle of the exposure outwards (`moments`).
-    - `positions` (n,): how many of these a sample has; 0 for padding.
+    - `positions` (n,): how many of these a sample has; 0 for the padding of `Samples.padded`.
     - `value`, `weight` (n,): Y_j and ω_j; the weight is 0 where a sample leaves the picture or sees what the key frame
       does not show.
     - `scale` s, `shape` of U: (H, W), or (h, w) if `on_sensor`: where nothing moves, all samples lie on the sensor's

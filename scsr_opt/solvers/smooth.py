@@ -139,6 +139,9 @@ class Smooth(Solver[SmoothState]):
         record = Record(data, penalty, residual, jnp.full_like(residual, jnp.nan), state.step_size)
         return state._replace(image=image, slope=slope, inner=inner), record
 
+    def kept(self, state: SmoothState) -> SmoothState:
+        return state._replace(slope=state.image, inner=None, origin=state.image, target=state.image)
+
     def image(self, state: SmoothState) -> Float[Array, "H W"]:
         return state.image
 

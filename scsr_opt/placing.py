@@ -14,7 +14,7 @@ from scsr_opt.camera.gain import blind_gain, gain_is_known, share_of_unknown_gai
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording, checked_white_rate
-from scsr_opt.camera.samples import RUN, Samples
+from scsr_opt.camera.samples import RUN, Samples, padded_length
 from scsr_opt.cutting import cut_to_seen
 from scsr_opt.inputs import bad_pixels_of, whole
 from scsr_opt.motion.estimate import filled
@@ -161,7 +161,7 @@ class Measurements(NamedTuple):
         if of is not None:
             chosen = np.flatnonzero(of.reshape(-1)[samples.row * of.shape[1] + samples.column])
             samples = jax.tree.map(lambda values: values[chosen], samples)
-            placed = placed.only(jnp.asarray(np.pad(chosen, (0, samples.padded().row.size - chosen.size))))
+            placed = placed.only(jnp.asarray(np.pad(chosen, (0, padded_length(samples.row.size) - chosen.size))))
         used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
         moved = motion.moved(len(stream.spikes))

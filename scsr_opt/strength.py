@@ -228,7 +228,7 @@ def validated_strength(
         pieces, part, first, merged = as_taken, stream.part(*area), image[_scaled(area, scale)], False
         of_part = None if gain is None else gain[area]
         if pieces is None or good[area].shape != good.shape:
-            # So no more than these are merged, if they hold intervals enough.
+            # No more is merged than what is held out as a whole, if that holds intervals enough.
             if merge and isinstance(measuring, Intervals):
                 if on_sensor and measuring.noise is None:
                     ends = measuring.ends

@@ -335,7 +335,8 @@ def estimate_motion(
 
 
 def motion_in(pictures: Stretches, estimator: Estimator | None = None) -> Motion:
-    """The motion that these pictures (`comparable`) show, as `estimate_motion` says."""
+    """The motion (h, w) that these pictures (`comparable`) show by `estimator`, `Automatic` if not given, with its
+    trust."""
     motion = (Automatic() if estimator is None else estimator)(pictures)
     return trusted(pictures, motion)
 

@@ -4,8 +4,8 @@
 
 The whole network and four from which a part is left out are trained on the same examples for as many steps, one after
 the other, by the configuration small-x2 or small-x4. Each run can be killed and is gone on with. The table gives the
-means over simulated recordings by day of pictures that none of them has seen (`learned.validation`, eight of each
-kind), beside what the paper reports for its networks, on recordings of its own.
+means over simulated recordings by day of pictures that none of them has seen (`learned.training.validation`, eight of
+each kind), beside what the paper reports for its networks, on recordings of its own.
 """
 
 import argparse
@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.choosing_page import table
-from learned.configs import TrainingConfig
-from learned.registry import trainable
-from learned.spikesr import parameter_count
-from learned.training import train
-from learned.validation import KINDS, playback, scores, validation_set
+from learned.networks.spikesr import parameter_count
+from learned.training.configs import TrainingConfig
+from learned.training.loop import train
+from learned.training.registry import trainable
+from learned.training.validation import KINDS, playback, scores, validation_set
 from scsr_opt.cli.options import progress
 from scsr_opt.errors import InputError
 

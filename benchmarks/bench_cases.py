@@ -8,19 +8,19 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from benchmarks.choosing_cases import LIGHTS, VELOCITY
-from scsr_opt.camera.measuring import Measuring, Windows
 from scsr_opt.camera.pictures import as_intensity
 from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.sampling_rules import Measuring, Windows
 from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Translation
 from scsr_opt.camera.simulator import Simulation, simulate
-from scsr_opt.demo import psnr
-from scsr_opt.motion.handed_in import given
+from scsr_opt.cli.demo_scene import psnr
+from scsr_opt.motion.validation import given
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.sampling import accumulate
-from scsr_opt.placing import first_picture, measured, stream_around
+from scsr_opt.pipeline.measurement import first_picture, measured, stream_around
+from scsr_opt.pipeline.strength import validated_strength
 from scsr_opt.priors import default_prior
 from scsr_opt.solvers import FISTA
-from scsr_opt.strength import validated_strength
 
 FRAMES = 101
 # What is validated for such stills at ×2, or nearly so (docs/choosing.md).

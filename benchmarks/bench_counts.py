@@ -19,7 +19,7 @@ from benchmarks.bench_iteration import first_state, fused_iteration, placed_of, 
 from benchmarks.bench_solvers import followed, minimum, reached
 from benchmarks.bench_timing import compilations, program
 from scsr_opt import reconstruct, solvers
-from scsr_opt.camera.measuring import Intervals
+from scsr_opt.camera.sampling_rules import Intervals
 from scsr_opt.operators.sampling import accumulate
 from scsr_opt.priors import Bounded, HuberTotalVariation, Prior, RidgeRegulariser
 from scsr_opt.solvers import FISTA, Problem, Solver

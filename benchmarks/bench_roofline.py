@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.bench_cases import Size
 from benchmarks.bench_iteration import SCALE, first_state, fused_iteration, placed_of, problem_of
 from benchmarks.bench_timing import in_turns, keeping_memory, program
-from scsr_opt.motion.alignment import drift
-from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.motion.estimators.frames import drift
+from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import accumulate
 from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser
 from scsr_opt.progress import Progress

@@ -8,11 +8,11 @@ import numpy as np
 from benchmarks.bench_cases import Size, quality, recorded, recording_of
 from benchmarks.bench_timing import Peak, in_turns, ratios
 from benchmarks.ladder import USUAL
-from learned.models import Network, model, names
+from learned.zoo import Network, model, names
 from scsr_opt import priors, reconstruct, solvers
 from scsr_opt.baselines import BASELINES
-from scsr_opt.camera.measuring import Windows
 from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.sampling_rules import Windows
 from scsr_opt.motion import Dense, Global, Still
 from scsr_opt.priors import default_prior
 from scsr_opt.progress import Progress

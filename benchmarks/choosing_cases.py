@@ -17,10 +17,10 @@ from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
-from scsr_opt.motion.handed_in import given
 from scsr_opt.motion.trajectory import trajectory_of
+from scsr_opt.motion.validation import given
 from scsr_opt.operators.data_term import DataTerm
-from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import accumulate, place
 from scsr_opt.solvers import Problem, Solver, run
 

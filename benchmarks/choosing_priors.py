@@ -9,7 +9,7 @@ from skimage.metrics import structural_similarity
 
 from benchmarks.choosing_cases import Case, Size, case_of, seconds_of
 from scsr_opt import priors, solvers
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers import Problem, Solver, run
 

@@ -22,12 +22,12 @@ from scsr_opt.camera.pictures import as_intensity
 from scsr_opt.camera.samples import Samples, spike_intervals, windows
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, Simulation, simulate
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion.trajectory import Motion, trajectory_of
-from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import accumulate, place
 from scsr_opt.priors.total_variation import TotalVariation
-from scsr_opt.solvers.iterate import run
+from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 

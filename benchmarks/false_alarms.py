@@ -20,8 +20,8 @@ from benchmarks.gains_at_rest import LIGHTS, stills
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.saturation import SATURATED
 from scsr_opt.camera.scenes import Scene, Static, Translation
-from scsr_opt.preparation import prepare
-from scsr_opt.skip import DARK, Kind, Plan
+from scsr_opt.pipeline.preparation import prepare
+from scsr_opt.pipeline.scene_summary import DARK, Kind, Plan
 
 SIZE, SCALE, FRAMES = 64, 2, 101
 # Sensor pixels within the recording.

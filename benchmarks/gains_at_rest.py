@@ -2,7 +2,7 @@
 
     python -m benchmarks.gains_at_rest --pictures ../shared/data/train [--parts 2] [--solve 12]
 
-Parts of pictures that the network was not trained on (those that `learned.gain_training` keeps from this folder, and
+Parts of pictures that the network was not trained on (those that `learned.training.gain` keeps from this folder, and
 scikit-image's own as well) are recorded at rest by sensors of 60×60 and 120×120 pixels, at ×1, ×2 and ×4, by day and in
 dim light, with gains that spread by nothing, 2 % and 5 %. A line a scale: in how many parts gains were found, and how
 much of the variance of ln g was left, over all parts (1 if none were found); without a pattern, the largest spread that
@@ -19,12 +19,13 @@ import numpy as np
 from jaxtyping import Float
 from skimage import color, data
 
-from learned.gain_training import kept_out
-from learned.ridge_training import pictures
+from learned.training.gain import kept_out
+from learned.training.ridge import pictures
 from scsr_opt import reconstruct
-from scsr_opt.camera import Sensor, Simulation, gain_at_rest, simulate
+from scsr_opt.calibration import gain_at_rest
+from scsr_opt.camera import Sensor, Simulation, simulate
 from scsr_opt.camera.scenes import Static
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
 
 SIZES, SCALES, SPREADS = (60, 120), (1, 2, 4), (0.0, 0.02, 0.05)

@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.bench_cases import FRAMES, quality, recording_of, still_of
 from benchmarks.choosing_cases import LIGHTS
 from benchmarks.choosing_page import table
-from learned.models import Network, model, names
+from learned.zoo import Network, model, names
 from scsr_opt.camera.scenes import Affine
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.errors import InputError

@@ -22,8 +22,8 @@ from benchmarks.skipping import tile_change, unskipped
 from scsr_opt import Recording, Solution, reconstruct, sequence
 from scsr_opt.camera import read_recording
 from scsr_opt.errors import InputError
-from scsr_opt.placing import stream_around
-from scsr_opt.preparation import FRAMES
+from scsr_opt.pipeline.measurement import stream_around
+from scsr_opt.pipeline.preparation import FRAMES
 
 
 def main() -> None:

@@ -23,13 +23,13 @@ from skimage import color, data
 from scsr_opt import Recording, Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, read_recording, simulate
 from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Static, Translation, TurningDisc
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
 from scsr_opt.motion import Automatic, Motion, estimate_motion
 from scsr_opt.operators import Aperture
-from scsr_opt.placing import Stream, measured, stream_around
+from scsr_opt.pipeline.measurement import Stream, measured, stream_around
+from scsr_opt.pipeline.scene_summary import TILE
 from scsr_opt.priors import default_prior
-from scsr_opt.skip import TILE
 
 
 class Case(NamedTuple):

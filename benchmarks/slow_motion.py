@@ -15,7 +15,7 @@ from skimage import color, data
 from scsr_opt import reconstruct
 from scsr_opt.camera import Sensor, Simulation, simulate
 from scsr_opt.camera.scenes import Static, Translation
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Estimator, Global, estimate_motion
 
 SCALE, SIDE = 2, 200

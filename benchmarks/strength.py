@@ -15,7 +15,7 @@ from scsr_opt import reconstruct
 from scsr_opt.camera.pictures import as_intensity
 from scsr_opt.camera.scenes import Affine, Scene, Static, Translation
 from scsr_opt.camera.simulator import Sensor, simulate
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 LIGHTS = {"day": Sensor(white_rate=0.6, photons=1000.0), "dim": Sensor(white_rate=0.1, photons=25.0)}

@@ -38,7 +38,8 @@ adds ‖e‖‖X' − X‖. A ridge regulariser's proximal step begins at X and 
 (n + d)·u (2Ψ + Σ |ψ_c'(W_c X)| |W_c| |X|).
 
 L-BFGS and NonlinearCG accept a picture where the value that they calculate, βF, has not risen by more than 5 units of
-2u|βF| (`_SLACK` of scsr_opt/solvers/smooth.py); β and the sum of F's two parts, rounded on either side, add two more.
+2u|βF| (`_SLACK` of scsr_opt/solvers/quasi_newton.py); β and the sum of F's two parts, rounded on either side, add two
+more.
 """
 
 from typing import Any, NamedTuple

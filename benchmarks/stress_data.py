@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float, UInt8
 from benchmarks.stress_cases import Case
 from benchmarks.stress_methods import PRIORS
 from scsr_opt.camera.samples import spike_intervals
-from scsr_opt.motion.handed_in import FASTEST
 from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.motion.validation import FASTEST
 from scsr_opt.operators import Blur, DataTerm, PlacedSamples, accumulate, place
 from scsr_opt.solvers import Problem
 

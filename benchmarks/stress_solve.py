@@ -19,8 +19,8 @@ from scsr_opt.priors import Bounded, RidgeRegulariser
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers import ChambollePock, CondatVu, Problem, Solver, lipschitz_bound, run
 from scsr_opt.solvers.admm import ADMMState
-from scsr_opt.solvers.iterate import strongly_typed
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
+from scsr_opt.solvers.loop import strongly_typed
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 
 # Runs of more iterations are not made twice, and have no tolerance to end by.

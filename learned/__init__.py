@@ -1,6 +1,6 @@
 """Networks that unroll the iteration of `scsr_opt` (paper, Eq. 5) up to SpikeSR-Net (Eq. 6-14).
 
-`learned.models` has all of them with one face. The rungs of that ladder that are learned are functions of this package
+`learned.zoo` has all of them with one face. The rungs of that ladder that are learned are functions of this package
 as well, `spikes` (frames, rows, columns) of 0 and 1, or a `Recording`, to a `Solution`. Nothing is imported before one
 is called.
 """
@@ -15,33 +15,33 @@ def ridge(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = 
 
 
 def ridge_centred(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`ridge`, and once more about what `learned.restoration.RestorationNet` makes of that solution."""
+    """`ridge`, and once more about what `learned.networks.restoration.RestorationNet` makes of that solution."""
     return _rung("ridge-centred", scale)(spikes, scale=scale, key=key, white_rate=white_rate)
 
 
 def unrolled(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.unrolled_ista.UnrolledISTA`."""
+    """`learned.networks.unrolled_ista.UnrolledISTA`."""
     return _picture("unrolled", spikes, scale=scale, key=key, white_rate=white_rate)
 
 
 def unrolled_pase(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.unrolled_ista_pase.UnrolledPASE`."""
+    """`learned.networks.unrolled_ista_pase.UnrolledPASE`."""
     return _picture("unrolled-pase", spikes, scale=scale, key=key, white_rate=white_rate)
 
 
 def spikesr_small(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.spikesr.SpikeSRNet`, small."""
+    """`learned.networks.spikesr.SpikeSRNet`, small."""
     return _picture("spikesr-small", spikes, scale=scale, key=key, white_rate=white_rate)
 
 
 def spikesr_full(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.spikesr.SpikeSRNet`, about as large as the paper's."""
+    """`learned.networks.spikesr.SpikeSRNet`, about as large as the paper's."""
     return _picture("spikesr-full", spikes, scale=scale, key=key, white_rate=white_rate)
 
 
 def compare_stages(*given: Any, **options: Any) -> Any:
-    """`learned.compare.compare_stages`: optimizers and networks laid side by side, stage by stage."""
-    from learned.compare import compare_stages
+    """`learned.evaluation.compare.compare_stages`: optimizers and networks laid side by side, stage by stage."""
+    from learned.evaluation.compare import compare_stages
 
     return compare_stages(*given, **options)
 
@@ -54,6 +54,6 @@ def _picture(name: str, spikes: Any, *, scale: int, **given: Any) -> Any:
 @functools.cache
 def _rung(name: str, scale: int) -> Any:
     """A rung whose weights are read once, however often it is called."""
-    from learned.models import model
+    from learned.zoo import model
 
     return model(name, scale)

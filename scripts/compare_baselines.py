@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from scsr_opt import reconstruct
 from scsr_opt.baselines import BASELINES
-from scsr_opt.demo import KEY, SCALE, psnr, simulated
+from scsr_opt.cli.demo_scene import KEY, SCALE, psnr, simulated
 from scsr_opt.report import quantise, whole_file
 
 # The camera and its lens: (top, left, height, width) in pixels of the picture.

@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from scsr_opt.camera import tfp
-from scsr_opt.demo import KEY, SCALE, run
+from scsr_opt.cli.demo_scene import KEY, SCALE, run
 from scsr_opt.report import bicubic, compare, detailed_part, whole_file
 
 

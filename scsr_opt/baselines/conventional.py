@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._validation import number
 from scsr_opt.baselines.inputs import part_of
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.inputs import number
 from scsr_opt.report.figures import bicubic
 from scsr_opt.report.pictures import quantise
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
+from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording, checked_white_rate
-from scsr_opt.inputs import picture_shape, whole
-from scsr_opt.motion.estimate import filled
+from scsr_opt.motion.estimators.automatic import filled
 
 
 class Part(NamedTuple):

@@ -16,10 +16,10 @@ from scsr_opt.baselines.playbacks import tfp_picture
 from scsr_opt.baselines.solving import solved
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples, spike_intervals
-from scsr_opt.motion.estimate import Dense, estimate_motion
-from scsr_opt.motion.estimator import Estimator
-from scsr_opt.motion.handed_in import checked, given
+from scsr_opt.motion.estimators.automatic import Dense, estimate_motion
+from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.trajectory import Motion, trajectory_of
+from scsr_opt.motion.validation import checked, given
 from scsr_opt.operators.sampling import place
 from scsr_opt.report.figures import bicubic
 

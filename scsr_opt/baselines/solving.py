@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.priors.total_variation import TotalVariation
-from scsr_opt.solvers.iterate import run
+from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 

@@ -11,8 +11,8 @@ over: anything from 0 to θ, ½θ in the mean. Either end is a sample of ½θ ov
 never fired is one of 0 over the whole recording. They are rough, θ/√12, and get `ENDS` of the weight of an interval as
 long. Dark pixels, however, have little else, and without their ends those few that happened to fire twice would speak
 for all. One factor for all ends keeps Σ ω (Y − I) at mean 0 for constant light I of every level (docs/data-term.md),
-which no factor that depends on the sample's own duration or number of spikes does. (`scsr_opt.cutting` makes ends, too,
-where a pixel is seen for a part of the recording only.)
+which no factor that depends on the sample's own duration or number of spikes does. (`scsr_opt.pipeline.visibility`
+makes ends, too, where a pixel is seen for a part of the recording only.)
 
 **Windows.** A fixed window of n frames that holds c spikes measures Y = c·θ / n, with an error of up to θ.
 
@@ -25,8 +25,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from scsr_opt._threads import in_threads
 from scsr_opt.camera.spike_times import SpikeTimes
-from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 
 ENDS = 0.1

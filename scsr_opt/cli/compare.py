@@ -56,14 +56,14 @@ def compare(
     if scale < 1:
         raise InputError(f"--scale is {scale}, but it must be at least 1.")
     # `learned` builds on this package; it is known here by name only, and only while the command runs.
-    from learned.stage_report import FILES
+    from learned.evaluation.stage_report import FILES
 
     _check_folder(out, [file, *([] if truth is None else [truth])], FILES)
     recording = (reading or Reading()).open(file)
     moment = key_frame(recording, key)
 
-    from learned.compare import compare_stages
-    from learned.models import model
+    from learned.evaluation.compare import compare_stages
+    from learned.zoo import model
     from scsr_opt.report.pictures import read_picture
 
     chosen = [model(name, scale) for name in names]

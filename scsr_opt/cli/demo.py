@@ -24,7 +24,7 @@ def demo(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"The folder {output} cannot be made: {(error.strerror or str(error)).lower()}.") from error
-    from scsr_opt.demo import run
+    from scsr_opt.cli.demo_scene import run
     from scsr_opt.report.files import check_writable
 
     check_writable(output / "figure.png")

@@ -71,7 +71,7 @@ def solve(
     choices = solving.arguments(recording, scale)
 
     from scsr_opt import reconstruct
-    from scsr_opt.preparation import FRAMES
+    from scsr_opt.pipeline.preparation import FRAMES
     from scsr_opt.report.summary import Report
 
     read = time.perf_counter()
@@ -140,7 +140,7 @@ def _left(result: Any, residual: float, positions: int) -> str:
 
     if result is not Result.converged:
         return f"The last iteration of the whole picture changed it by {100 * residual:.1g} %."
-    # A quadratic stands in for what exposures have seen move (`scsr_opt.rounds`).
+    # A quadratic stands in for what exposures have seen move (`scsr_opt.pipeline.outer_loop`).
     held = "measurements, exposures corrected as they were last," if positions > 1 else "measurements"
     return f"One more iteration with these {held} would change the picture by {100 * residual:.1g} % at most."
 

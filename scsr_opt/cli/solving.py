@@ -121,7 +121,7 @@ class Solving:
         if self.refine < 0:
             raise InputError(f"--refine is {self.refine}, but it must be at least 0.")
         if self.strength is not None:
-            from scsr_opt.inputs import prior_strength
+            from scsr_opt._validation import prior_strength
 
             prior_strength(self.strength, "--strength")
 
@@ -250,7 +250,7 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
     import numpy as np
 
     from scsr_opt import motion as known
-    from scsr_opt.motion.handed_in import FASTEST
+    from scsr_opt.motion.validation import FASTEST
 
     named = {
         "none": known.Still,

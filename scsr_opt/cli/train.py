@@ -45,8 +45,8 @@ def train(
     playback, network and truth.
     """
     # `learned` builds on this package; it is known here by name only, and only while the command runs.
-    from learned.configs import TrainingConfig
-    from learned.training import train as run
+    from learned.training.configs import TrainingConfig
+    from learned.training.loop import train as run
 
     chosen = TrainingConfig.read(config)
     if pictures is not None:

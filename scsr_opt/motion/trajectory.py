@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from scsr_opt.motion.inverse import (
+from scsr_opt.motion.inversion import (
     ROUNDING,
     affine_field,
     affine_numbers,
@@ -76,7 +76,7 @@ class Layers(eqx.Module):
 
 class Trust(eqx.Module):
     """How much a sample is worth that was taken at a given time, following the motion, of what it would be worth if
-    the motion were right (`scsr_opt.motion.trust`).
+    the motion were right (`scsr_opt.motion.reliability`).
 
     **Fields:** `after` (n,): frames from the key frame; `share` (n, h, w) in [0, 1], by pixel of the key frame.
     """

@@ -9,11 +9,10 @@ from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.checks import DotTest, SpectralNorm, dot_test, norm_bound, spectral_norm
 from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.downsample import Downsample
-from scsr_opt.operators.exposures import with_exposure
+from scsr_opt.operators.exposure import with_exposure
+from scsr_opt.operators.losses import Huber, Loss, Welsch, robust_factors
 from scsr_opt.operators.observation import Observation
 from scsr_opt.operators.operator import Composition, LinearOperator
-from scsr_opt.operators.optics import GaussianOptics, estimate_gaussian_optics
-from scsr_opt.operators.robust import Huber, Loss, Welsch, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, Taps, accumulate, place
 from scsr_opt.operators.warp import Warp
 
@@ -24,7 +23,6 @@ __all__ = [
     "DataTerm",
     "DotTest",
     "Downsample",
-    "GaussianOptics",
     "Huber",
     "LinearOperator",
     "Loss",
@@ -37,7 +35,6 @@ __all__ = [
     "Welsch",
     "accumulate",
     "dot_test",
-    "estimate_gaussian_optics",
     "norm_bound",
     "place",
     "robust_factors",

@@ -11,7 +11,7 @@ M and c are accumulated once. M is a symmetric stencil of 3×3 weights that vari
 
 **Exposures.** Rows at several positions of an exposure would couple points as far apart as the motion during it. M is
 therefore accumulated from Σ_k r_jk r_jkᵀ / K, which is never below the true M_e = Σ ω_j r_j r_jᵀ with r_j = Σ_k r_jk /
-K (convexity), while c is exact. `with_exposure` (`scsr_opt.operators.exposures`) then corrects c so that the gradient
+K (convexity), while c is exact. `with_exposure` (`scsr_opt.operators.exposure`) then corrects c so that the gradient
 at a given picture is the exact one: each solve minimises a quadratic that lies on or above the true objective and
 touches it there (majorise–minimise), so that alternating the two lowers the true objective every time and ends at its
 minimiser.
@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
-from scsr_opt.motion.inverse import in_turn
+from scsr_opt.motion.inversion import in_turn
 from scsr_opt.motion.trajectory import Between, Trajectory
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.data_term import DataTerm, Stencil
@@ -307,8 +307,8 @@ def place(
     - `on_sensor`: whether the grid of U is the sensor's, for a path along which nothing moves.
 
     A sample that leaves the picture at any time of its exposure is dropped; what is left of it inside is for the
-    caller to cut out (`scsr_opt.placing.measured`). Counting such samples for the part of them inside, as they are,
-    costs 1 dB where a lens blurs across the border.
+    caller to cut out (`scsr_opt.pipeline.measurement.measured`). Counting such samples for the part of them inside, as
+    they are, costs 1 dB where a lens blurs across the border.
 
     **Raises:** `InputError` if `finest` is another number.
     """

@@ -1,10 +1,10 @@
 """What is known about pictures beforehand: the Ψ of Eq. 4, with its value and its proximal step."""
 
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.bilateral_total_variation import BilateralTotalVariation
 from scsr_opt.priors.bounded import Bounded
 from scsr_opt.priors.centred import Centred
-from scsr_opt.priors.default import default_prior
 from scsr_opt.priors.denoisers import NumpyDenoiser, bilateral, nl_means, tv_chambolle
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.plug_and_play import PlugAndPlay

@@ -16,7 +16,7 @@ class Centred(Prior[Any]):
 
     It is as convex and as steep as Ψ is, for every C, so that all guarantees of the solvers hold; and C is what it
     likes best, wherever C comes from: another exposure, an earlier key frame, a network's guess
-    (`learned.restoration`). The proximal step is that of Ψ, moved:
+    (`learned.networks.restoration`). The proximal step is that of Ψ, moved:
 
         argmin over X of ½‖X − f‖² + λΨ(X − C)  =  C + argmin over Z of ½‖Z − (f − C)‖² + λΨ(Z).
 

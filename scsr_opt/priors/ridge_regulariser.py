@@ -2,7 +2,7 @@
 
 The picture is mirrored at its border and correlated with the filters; what comes out is penalised pixel by pixel by
 sums of Huber functions, whose derivatives are linear splines. Filters and splines are learned
-(`learned.ridge_training`), and the bounds that the guarantees rest on are calculated from them when a prior is made,
+(`learned.training.ridge`), and the bounds that the guarantees rest on are calculated from them when a prior is made,
 whatever was learned.
 """
 

@@ -22,8 +22,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from scsr_opt.errors import InputError
+from scsr_opt.pipeline.scene_summary import Kind
 from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
-from scsr_opt.skip import Kind
 from scsr_opt.solvers.solution import Solution
 
 _INK = "#222222"

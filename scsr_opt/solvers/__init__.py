@@ -8,21 +8,21 @@ solves the linear systems of `ADMM` by one.
 `solution` is the minimiser as a function that can be differentiated.
 """
 
-from scsr_opt.solvers.active_set import divides, run_active
 from scsr_opt.solvers.admm import ADMM, JaxoptADMM
 from scsr_opt.solvers.data_proximal import DataProximal
 from scsr_opt.solvers.default import default_solver
-from scsr_opt.solvers.iterate import Outcome, Record, Solver, run
+from scsr_opt.solvers.implicit import solution
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
+from scsr_opt.solvers.loop import Outcome, Record, Solver, run
 from scsr_opt.solvers.primal_dual import ChambollePock, CondatVu
 from scsr_opt.solvers.problem import Problem, lipschitz_bound, with_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
-from scsr_opt.solvers.sensitivity import solution
-from scsr_opt.solvers.smooth import LBFGS, NonlinearCG
+from scsr_opt.solvers.quasi_newton import LBFGS, NonlinearCG
 from scsr_opt.solvers.solution import Active, Result, Solution, Stage
 from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, Separable, SpectralNorm, StepSize
 from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
+from scsr_opt.solvers.tiles import divides, run_active
 
 __all__ = [
     "ADMM",

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.iterate import Record
+from scsr_opt.solvers.loop import Record
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import ProximalGradient, ProximalGradientState, momentum
 from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative

@@ -2,7 +2,7 @@
 
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.data_proximal import DataProximal
-from scsr_opt.solvers.iterate import Solver
+from scsr_opt.solvers.loop import Solver
 from scsr_opt.solvers.proximal_gradient import FISTA
 
 # The largest λ·(Lipschitz constant of ∇Ψ)/L with which `DataProximal` ends before `FISTA` does: that was slower up to 5

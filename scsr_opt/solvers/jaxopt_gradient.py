@@ -8,7 +8,7 @@ They are here to compare with. `FISTA` is faster:
   term in every iteration.
 
 jaxopt's own `tol` is not used: its error is ‖ΔX‖ / β, neither relative nor free of the step. The loop of
-`scsr_opt.solvers.iterate` measures and stops these solvers as it does the others; a jaxopt update, called outside
+`scsr_opt.solvers.loop` measures and stops these solvers as it does the others; a jaxopt update, called outside
 `jax.jit`, would cost 0.4 s, and there it is compiled.
 
 jaxopt is no longer maintained and says so when imported. It is imported when a solver is first used, and this one
@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt.priors.checks import whole
 from scsr_opt.priors.patience import patient
-from scsr_opt.solvers.iterate import Record, Solver
+from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative
 

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import finite
-from scsr_opt.solvers.iterate import Record, Solver
 from scsr_opt.solvers.linear_solve import ConjugateGradients, LinearSolve
+from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.splitting import Dual, splitting_of
 from scsr_opt.solvers.step_size import Balance

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.solvers.iterate import Record, Solver
+from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.step_size import NormBound, Separable, StepSize
 from scsr_opt.solvers.stopping import Evidence, FixedPoint, Stopping, misfit, relative
@@ -104,7 +104,7 @@ class _PriorProximal(ProximalGradient):
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         step = self._step(problem, state)
         image, β = step.image, step.step_size
-        # A pixel whose step is 0 is held where it is (`scsr_opt.solvers.active_set`).
+        # A pixel whose step is 0 is held where it is (`scsr_opt.solvers.tiles`).
         shortest = β if β.ndim == 0 else jnp.min(β, where=β > 0, initial=jnp.inf)
         # The same slope counts as much wherever it is, as if all steps were as long as the shortest. Differences are
         # seen through a barrier: with those that follow made one, XLA would write them to memory for both.

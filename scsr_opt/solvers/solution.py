@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from scsr_opt.motion.trajectory import Motion
-from scsr_opt.skip import Plan
+from scsr_opt.pipeline.scene_summary import Plan
 
 
 class Result(enum.Enum):
@@ -126,7 +126,8 @@ class Solution:
     - `stats`: plain numbers worth reporting (iterations, strength, samples, seconds by part, …), ready for JSON.
     - `motion`: the motion that was used; None where there was none to use.
     - `state`: what is needed to go on from here (warm start).
-    - `plan`: what each part of the scene asked for (`scsr_opt.skip.Plan`); None where nothing was skipped.
+    - `plan`: what each part of the scene asked for (`scsr_opt.pipeline.scene_summary.Plan`); None where nothing was
+      skipped.
     - `gain`: (h, w), of each sensor pixel, as handed in or found (`scsr_opt.reconstruct`); None where it is 1.
     - `active`: how long each tile was iterated for in the last solve; None where tiles were not asked.
     """

@@ -22,7 +22,7 @@ from scsr_opt.baselines import (
 from scsr_opt.baselines.motion_guided import _splat
 from scsr_opt.baselines.single_image import _SMOOTHING, noise_level
 from scsr_opt.camera import Recording, Sensor, Simulation, Static, Translation, simulate, stp, tfi, tfp
-from scsr_opt.demo import psnr
+from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
 from scsr_opt.report import bicubic
 

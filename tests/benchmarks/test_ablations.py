@@ -2,8 +2,8 @@ import equinox as eqx
 import jax
 
 from benchmarks.ablations import VARIANTS, variant
-from learned.registry import trainable
-from learned.spikesr import parameter_count
+from learned.networks.spikesr import parameter_count
+from learned.training.registry import trainable
 
 
 def test_each_variant_leaves_out_one_part_and_trains_alike():

@@ -27,7 +27,7 @@ from benchmarks import (
     bench_whole,
 )
 from benchmarks.choosing_page import MARKS
-from scsr_opt.camera.measuring import Intervals, Windows
+from scsr_opt.camera.sampling_rules import Intervals, Windows
 from scsr_opt.cli import bench as command
 from scsr_opt.cli import main, measuring
 from scsr_opt.errors import InputError

@@ -10,7 +10,7 @@ def test_no_public_name_is_hidden_by_a_module_of_the_same_name():
         [
             sys.executable,
             "-c",
-            "import types, scsr_opt, scsr_opt.camera as c, scsr_opt.solvers as s, learned.gain_training\n"
+            "import types, scsr_opt, scsr_opt.camera as c, scsr_opt.solvers as s, learned.training.gain\n"
             "print([n for p in (c, s) for n in p.__all__ if isinstance(getattr(p, n), types.ModuleType)])",
         ],
         capture_output=True,

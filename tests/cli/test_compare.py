@@ -9,9 +9,11 @@ import jax
 import numpy as np
 import pytest
 
-from learned import checkpoint, compare, models
-from learned.stage_report import Comparison, ModelStages, StageMeasures
-from learned.unrolled_ista import UnrolledConfig, UnrolledISTA
+from learned import zoo
+from learned.evaluation import compare
+from learned.evaluation.stage_report import Comparison, ModelStages, StageMeasures
+from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
+from learned.training import checkpoint
 from scsr_opt.report import write_picture
 from scsr_opt.solvers import Result
 
@@ -84,7 +86,7 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
 )
 def test_compare_refuses_before_it_starts(scsr, here, file, monkeypatch, options, message):
     monkeypatch.setattr(compare, "pose", lambda *_, **__: pytest.fail("it has begun to work"))
-    monkeypatch.setattr(models, "CHECKPOINTS", here)
+    monkeypatch.setattr(zoo, "CHECKPOINTS", here)
     write_picture("small.npz", np.zeros((3, 4), np.float32))
     given = dict(zip(options[::2], options[1::2], strict=True))
     arguments = {"--scale": "2", "--out": "seen", **given}

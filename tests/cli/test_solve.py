@@ -11,8 +11,8 @@ from PIL import Image
 import scsr_opt
 from scsr_opt.camera import tfp
 from scsr_opt.errors import InputError
+from scsr_opt.pipeline.scene_summary import Plan
 from scsr_opt.report import bicubic, read_picture
-from scsr_opt.skip import Plan
 from scsr_opt.solvers import Active, Result, Solution, Stage
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learned import checkpoint, registry
-from learned.registry import Trainable
+from learned.training import checkpoint, registry
+from learned.training.registry import Trainable
 
 CONFIG = """
 model = "tiny"

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned import checkpoint, registry
-from learned.checkpoint import Card, grafted, load, save
-from learned.registry import Trainable
+from learned.training import checkpoint, registry
+from learned.training.checkpoint import Card, grafted, load, save
+from learned.training.registry import Trainable
 from scsr_opt.errors import InputError
 
 

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from skimage import data
 
-from learned import checkpoint, compare
-from learned.compare import compare_stages
-from learned.costs import cost
-from learned.models import Optimizer
-from learned.posing import PRIOR, moment, pose
-from learned.stage_report import Comparison, shown_stages
-from learned.unrolled_ista import UnrolledConfig, UnrolledISTA
+from learned.evaluation import compare
+from learned.evaluation.compare import compare_stages
+from learned.evaluation.costs import cost
+from learned.evaluation.reference_problem import PRIOR, moment, pose
+from learned.evaluation.stage_report import Comparison, shown_stages
+from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
+from learned.training import checkpoint
+from learned.zoo import Optimizer
 from scsr_opt import InputError, Recording, Result
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static

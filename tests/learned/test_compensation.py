@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned.compensation import CompensationConfig, Deblurring, base_loss, compensated
-from learned.data import Example
-from learned.registry import trainable
-from learned.velocity import Moments, moments
+from learned.networks.compensation import CompensationConfig, Deblurring, base_loss, compensated
+from learned.networks.velocity import Moments, moments
+from learned.training.data import Example
+from learned.training.registry import trainable
 from scsr_opt.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

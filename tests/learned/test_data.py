@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learned.data import (
+from learned.training.data import (
     HELD_OUT_SAMPLES,
     LIGHTS,
     SCENES,
@@ -17,7 +17,7 @@ from learned.data import (
     Examples,
     Pictures,
 )
-from learned.feed import batches
+from learned.training.data_loader import batches
 from scsr_opt.errors import InputError
 
 TINY = Examples(scale=2, frames=21, patch=16, seed=5)
@@ -152,5 +152,8 @@ def test_refuses(make, message):
 
 def test_without_jax():
     """Every worker imports the module; a second for JAX and its memory would be paid by each of them."""
-    program = "import sys, learned.data as d, learned.feed; d.Examples(2, 3, 16)[0]; sys.exit('jax' in sys.modules)"
+    program = (
+        "import sys, learned.training.data as d, learned.training.data_loader; "
+        "d.Examples(2, 3, 16)[0]; sys.exit('jax' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned.encoder import PASE, spike_blocks
+from learned.networks.encoder import PASE, spike_blocks
 from scsr_opt.errors import InputError
 
 

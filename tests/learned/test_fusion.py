@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from learned.fusion import BidirectionalFusion, ConvGRU
+from learned.networks.fusion import BidirectionalFusion, ConvGRU
 
 
 def convolved(x: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from learned import gain_training
-from learned.gain_training import patch, train
-from scsr_opt.camera.gain_network import GainNetwork
+from learned.training import gain
+from learned.training.gain import patch, train
+from scsr_opt.calibration.gain_network import GainNetwork
 
 
 def test_patches_are_what_the_sensor_made_of_pictures():
@@ -21,8 +21,8 @@ def test_patches_are_what_the_sensor_made_of_pictures():
 
 
 def test_training_lowers_the_error_and_writes_a_network_with_its_card(tmp_path, monkeypatch):
-    monkeypatch.setattr(gain_training, "_HELD_OUT", 4)
-    monkeypatch.setattr(gain_training, "_REPORT", 10)
+    monkeypatch.setattr(gain, "_HELD_OUT", 4)
+    monkeypatch.setattr(gain, "_REPORT", 10)
     told: list[str] = []
     trained = train(tmp_path / "gain.npz", folder=None, steps=40, channels=8, layers=3, report=told.append)
     card = json.loads((tmp_path / "gain.json").read_text())

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned.gradient import GradientModule
-from learned.layers import fold, scale_down, scale_up, unfold
+from learned.networks.gradient import GradientModule
+from learned.networks.layers import fold, scale_down, scale_up, unfold
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned import checkpoint
-from learned.rescaling import rescaled
-from learned.spikesr import SpikeSRConfig, SpikeSRNet
+from learned.networks.rescaling import rescaled
+from learned.networks.spikesr import SpikeSRConfig, SpikeSRNet
+from learned.training import checkpoint
 from scsr_opt.errors import InputError
 
 TINY = SpikeSRConfig.full(

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from skimage import data
 
-from learned import checkpoint
-from learned.compare import compare_stages
-from learned.data import Example
-from learned.models import CentredOptimizer, model
-from learned.posing import moment, pose
-from learned.registry import trainable
-from learned.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
+from learned.evaluation.compare import compare_stages
+from learned.evaluation.reference_problem import moment, pose
+from learned.networks.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
+from learned.training import checkpoint
+from learned.training.data import Example
+from learned.training.registry import trainable
+from learned.zoo import CentredOptimizer, model
 from scsr_opt import InputError, Recording, Result
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static

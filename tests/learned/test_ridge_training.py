@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned.ridge_training import WEAKEST, bend, initial, parts, pictures, train
+from learned.training.ridge import WEAKEST, bend, initial, parts, pictures, train
 from scsr_opt.errors import InputError
 from scsr_opt.priors import RidgeRegulariser
 from scsr_opt.priors.ridge_regulariser import bank_norm_squared, profile_and_derivative

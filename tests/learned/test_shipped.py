@@ -7,8 +7,8 @@ import pytest
 from skimage import data
 from skimage.metrics import peak_signal_noise_ratio
 
-from learned import checkpoint
-from learned.models import CHECKPOINTS, NETWORKS, model
+from learned.training import checkpoint
+from learned.zoo import CHECKPOINTS, NETWORKS, model
 from scsr_opt.baselines import BASELINES
 from scsr_opt.camera import simulate
 from scsr_opt.camera.scenes import Translation

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 import pytest
 
-from learned.spikesr import Iterates, SpikeSRConfig, SpikeSRNet, parameter_count, spikesr_loss
+from learned.networks.spikesr import Iterates, SpikeSRConfig, SpikeSRNet, parameter_count, spikesr_loss
 from scsr_opt.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned import checkpoint, configs, inputs, prepared, registry, training, validation
-from learned.configs import TrainingConfig
-from learned.registry import Preparation, Trainable, trainable
-from learned.training import SKIPPED_IN_A_ROW, TrainingResult, learning_rate, train
+from learned.networks import inputs
+from learned.training import checkpoint, configs, loop, prepared_cache, registry, validation
+from learned.training.configs import TrainingConfig
+from learned.training.loop import SKIPPED_IN_A_ROW, TrainingResult, learning_rate, train
+from learned.training.registry import Preparation, Trainable, trainable
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.progress import NoProgress
@@ -137,8 +138,8 @@ def test_prepared_examples_are_made_once(tmp_path, made):
 def test_prepared_examples_come_in_turn(tmp_path, made):
     train(PREPARED.changed(steps=1), tmp_path)
     examples = made[validation.EACH :]
-    kept = prepared.prepare(
-        prepared.Preparing(training._examples(PREPARED), "prepared", 2, {}),
+    kept = prepared_cache.prepare(
+        prepared_cache.Preparing(loop._examples(PREPARED), "prepared", 2, {}),
         10,
         tmp_path / "examples",
         json.loads(str(np.load(tmp_path / "examples" / "000000.npz")["made_of"])),
@@ -146,10 +147,10 @@ def test_prepared_examples_come_in_turn(tmp_path, made):
     )
     assert [float(example["sum"]) for example in kept] == pytest.approx(examples)
     assert kept[0]["rate"].dtype == np.float16 and kept[0]["sum"].dtype == np.float32
-    drawn = [b["sum"].tolist() for b in training._drawn(kept, PREPARED.changed(steps=5), 0)]
+    drawn = [b["sum"].tolist() for b in loop._drawn(kept, PREPARED.changed(steps=5), 0)]
     flat = sum(drawn, [])
     assert sorted(flat[:10]) == sorted(flat[10:]) == pytest.approx(sorted(examples)) and flat[:10] != flat[10:]
-    assert [b["sum"].tolist() for b in training._drawn(kept, PREPARED.changed(steps=5), 3)] == drawn[3:]
+    assert [b["sum"].tolist() for b in loop._drawn(kept, PREPARED.changed(steps=5), 3)] == drawn[3:]
 
 
 def test_prepared_examples_that_cannot_be_used(tmp_path, made):
@@ -225,7 +226,7 @@ def test_half_precision_computes_in_it_and_keeps_float32(tmp_path):
 
 
 def test_a_step_without_a_finite_loss_is_skipped_and_counted(tmp_path, monkeypatch):
-    examples = training._examples(CONFIG)
+    examples = loop._examples(CONFIG)
     poisoned = int(examples[2 * CONFIG.batch].spikes.sum())  # the third step's first example
     monkeypatch.setitem(registry.MODELS, "tiny", lambda s, n: tiny(s, n, poison=lambda total: total == poisoned))
     config = CONFIG.changed(steps=3, validate_every=2, save_every=2)

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from skimage import data
 
-from learned.inputs import Inputs, make_inputs
-from learned.registry import trainable
-from learned.spikesr import parameter_count, spikesr_loss
-from learned.unrolled_ista import ProxOf, UnrolledConfig, UnrolledISTA, iterate
+from learned.networks.inputs import Inputs, make_inputs
+from learned.networks.spikesr import parameter_count, spikesr_loss
+from learned.networks.unrolled_ista import ProxOf, UnrolledConfig, UnrolledISTA, iterate
+from learned.training.registry import trainable
 from scsr_opt.camera import Sensor, simulate
-from scsr_opt.camera.measuring import Intervals
+from scsr_opt.camera.sampling_rules import Intervals
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators import accumulate
-from scsr_opt.placing import Stream, measured
+from scsr_opt.pipeline.measurement import Stream, measured
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.solvers import ISTA, Problem
 

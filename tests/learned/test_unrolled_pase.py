@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from skimage import data
 
-from learned.registry import trainable
-from learned.spikesr import spikesr_loss
-from learned.unrolled_ista import iterate
-from learned.unrolled_ista_pase import SpikeInputs, UnrolledPASE, UnrolledPASEConfig, make_spike_inputs
+from learned.networks.spikesr import spikesr_loss
+from learned.networks.unrolled_ista import iterate
+from learned.networks.unrolled_ista_pase import SpikeInputs, UnrolledPASE, UnrolledPASEConfig, make_spike_inputs
+from learned.training.registry import trainable
 from scsr_opt.camera import simulate
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
-from scsr_opt.placing import Stream
+from scsr_opt.pipeline.measurement import Stream
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.solvers import ISTA, Problem
 from scsr_opt.solvers.problem import lipschitz_bound

@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned.compensation import compensated
-from learned.data import Examples, Pictures, turned_field
-from learned.encoder import block_times
-from learned.spikesr import SpikeSRConfig, SpikeSRNet, spikesr_loss
-from learned.velocity import (
+from learned.networks.compensation import compensated
+from learned.networks.encoder import block_times
+from learned.networks.spikesr import SpikeSRConfig, SpikeSRNet, spikesr_loss
+from learned.networks.velocity import (
     FASTEST,
     Moments,
     VelocityConfig,
@@ -22,6 +21,7 @@ from learned.velocity import (
     refined,
     velocity_loss,
 )
+from learned.training.data import Examples, Pictures, turned_field
 from scsr_opt.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

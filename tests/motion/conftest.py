@@ -9,7 +9,7 @@ from skimage import color, data
 
 from scsr_opt.camera.scenes import Affine, Box, MovingObject, Static, Translation, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
-from scsr_opt.motion.alignment import Stretches, stretches
+from scsr_opt.motion.estimators.frames import Stretches, stretches
 
 SCALE = 2
 KEY = 50

@@ -6,8 +6,9 @@ from skimage import color, data
 
 from scsr_opt.camera.scenes import Box, MovingObject, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
-from scsr_opt.motion import Automatic, Motion, estimate, trajectory_of
-from scsr_opt.motion.alignment import Stretches, stretches
+from scsr_opt.motion import Automatic, Motion, trajectory_of
+from scsr_opt.motion.estimators import automatic
+from scsr_opt.motion.estimators.frames import Stretches, stretches
 from scsr_opt.motion.trajectory import Layers
 
 SCALE, KEY = 2, 50
@@ -28,15 +29,15 @@ def small() -> tuple[Simulation, Stretches]:
 def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, monkeypatch):
     made, pictures = small
     looked_at = []
-    dense = estimate.dense
+    dense = automatic.dense
 
     def watched(part, *, start):
         looked_at.append(part.picture.shape[1:])
         return dense(part, start=start)
 
-    monkeypatch.setattr(estimate, "dense", watched)
+    monkeypatch.setattr(automatic, "dense", watched)
     found = Automatic()(pictures)
-    monkeypatch.setattr(estimate, "together", lambda pictures: pytest.fail("one motion for all was fitted"))
+    monkeypatch.setattr(automatic, "together", lambda pictures: pytest.fail("one motion for all was fitted"))
     assert Automatic()(pictures).velocity.shape == (2, *SHAPE)
     monkeypatch.undo()
     assert np.prod(looked_at[0]) < 0.7 * np.prod(SHAPE)
@@ -57,14 +58,14 @@ def test_no_affine_motion_explains_what_moves_between_pixels_at_rest():
     rows, columns = np.mgrid[0:100, 0:120]
     inside = np.hypot(rows - 50, columns - 60)
     # A turn about the middle: at rest there, and the faster the farther out.
-    assert not estimate._takes_several(inside < 20, inside > 40)
-    assert estimate._takes_several(inside > 40, inside < 20)
-    assert estimate._takes_several(columns < 60, (columns > 70) & (columns < 85))
-    assert not estimate._takes_several(np.zeros((100, 120), bool), inside > 40)
-    assert not estimate._takes_several(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
+    assert not automatic._takes_several(inside < 20, inside > 40)
+    assert automatic._takes_several(inside > 40, inside < 20)
+    assert automatic._takes_several(columns < 60, (columns > 70) & (columns < 85))
+    assert not automatic._takes_several(np.zeros((100, 120), bool), inside > 40)
+    assert not automatic._takes_several(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
     for side, several in ((6, False), (10, True)):  # 4 % of the sensor may be so by mistake, 12 % are not
         scattered = (rows % 30 < side) & (columns % 30 < side)
-        assert estimate._takes_several(scattered, ~scattered) == several
+        assert automatic._takes_several(scattered, ~scattered) == several
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -92,7 +93,7 @@ def test_layers_of_a_part_are_continued_with_the_background(kept):
 
 def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
     _, pictures = small
-    layered, good = estimate.layered, Automatic()(pictures)
+    layered, good = automatic.layered, Automatic()(pictures)
     assert good.layers is not None
 
     def found_by(*, with_good: bool = False, with_scattered: bool = True) -> Motion:
@@ -104,11 +105,11 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
             more = layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse) if with_good else []
             return [*(lambda motion=motion: motion for motion in [before, *found]), *more]
 
-        monkeypatch.setattr(estimate, "layered", candidates)
+        monkeypatch.setattr(automatic, "layered", candidates)
         return Automatic()(pictures)
 
     np.testing.assert_array_equal(found_by(with_good=True).velocity, good.velocity)
-    monkeypatch.setattr(estimate, "_PREDICTS", 2.0)  # so that it is no matter of how well the dense estimate predicts
+    monkeypatch.setattr(automatic, "_PREDICTS", 2.0)  # so that it is no matter of how well the dense estimate predicts
     dense = found_by()
     assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
     alone = found_by(with_scattered=False)
@@ -119,7 +120,7 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
 def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(small, skip, monkeypatch):
     """What has the dense estimate as one more layer is made then only if nothing is to be skipped, and not chosen."""
     _, pictures = small
-    layered, good, asked = estimate.layered, Automatic(skip=skip)(pictures), []
+    layered, good, asked = automatic.layered, Automatic(skip=skip)(pictures), []
     assert good.layers is not None
 
     def with_another(*given, **options):
@@ -133,10 +134,10 @@ def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(s
 
     def found(clearly: float) -> tuple[Motion, int]:
         asked.clear()
-        monkeypatch.setattr(estimate, "_CLEARLY", clearly)
+        monkeypatch.setattr(automatic, "_CLEARLY", clearly)
         return Automatic(skip=skip)(pictures), len(asked)
 
-    monkeypatch.setattr(estimate, "layered", with_another)
+    monkeypatch.setattr(automatic, "layered", with_another)
     first, made = found(1.0)
     assert made == (0 if skip else 1)
     assert first.layers is not None
@@ -150,7 +151,7 @@ def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):
     disc = TurningDisc(wall, color.rgb2gray(data.coffee())[100:200, 100:200], 0.0068, radius=110.0)
     turning = stretches(simulate(disc, scale=SCALE, seed=2).spikes, key=KEY)
     taken: list[int | None] = []
-    accelerated, layered, given = estimate.accelerated, estimate.layered, []
+    accelerated, layered, given = automatic.accelerated, automatic.layered, []
 
     def watched(part, motion, *, start, turns=None):
         taken.append(turns)
@@ -160,8 +161,8 @@ def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):
         given.append(everywhere)
         return layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse)
 
-    monkeypatch.setattr(estimate, "accelerated", watched)
-    monkeypatch.setattr(estimate, "layered", told)
+    monkeypatch.setattr(automatic, "accelerated", watched)
+    monkeypatch.setattr(automatic, "layered", told)
     steady = Automatic()(small[1])
     assert taken == [1] and not given[-1].acceleration.any()
     assert steady.layers is not None and not np.median(steady.acceleration[:, steady.layers.label > 0])

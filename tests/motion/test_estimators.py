@@ -19,7 +19,7 @@ from scsr_opt.motion import (
     estimate_motion,
     given,
 )
-from scsr_opt.motion.alignment import Stretches, stretches
+from scsr_opt.motion.estimators.frames import Stretches, stretches
 
 EVERY = [Still(), Global(), Global(affine=False), Dense(), Automatic(), PhaseCorrelation(), ILK(), TVL1()]
 MOVING = EVERY[1:]

@@ -8,10 +8,10 @@ from skimage import data
 
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
-from scsr_opt.motion import parametric as module
-from scsr_opt.motion.alignment import Stretches, stretches
-from scsr_opt.motion.inverse import bilinear, inverse
-from scsr_opt.motion.parametric import generators, parametric
+from scsr_opt.motion.estimators import parametric as module
+from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.parametric import generators, parametric
+from scsr_opt.motion.inversion import bilinear, inverse
 
 HEIGHT, WIDTH = 60, 80
 AFTER = np.linspace(-48, 48, 17).astype(np.float32)

@@ -7,9 +7,9 @@ from skimage import data
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion import Automatic, Motion, estimate_motion
-from scsr_opt.motion.alignment import Stretches, stretches
-from scsr_opt.motion.evidence import TOLERATED_AT_REST, at_rest, counts_agree
-from scsr_opt.motion.parametric import moves_as_one
+from scsr_opt.motion.estimators.evidence import TOLERATED_AT_REST, at_rest, counts_agree
+from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.parametric import moves_as_one
 
 SCALE = 2
 PHOTONS = {0.6: 1000.0, 0.1: 25.0}

@@ -5,7 +5,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from scsr_opt.motion import Motion, trajectory_of
-from scsr_opt.motion.inverse import _inverses, inverse
+from scsr_opt.motion.inversion import _inverses, inverse
 from scsr_opt.motion.trajectory import Layers, seen_at
 
 H, W, KEY, FRAMES = 40, 60, 50, 101

@@ -26,7 +26,7 @@ from scsr_opt.solvers import (
     lipschitz_bound,
     run,
 )
-from scsr_opt.solvers import iterate as loop
+from scsr_opt.solvers import loop as loop
 
 # One step size for all pixels, so that what is said of a step is easily made anew; the others are in test_step_size.py.
 SOLVERS = {

@@ -1,0 +1,1 @@
+"""Networks and optimizers side by side: inference, stage records, comparison, costs."""

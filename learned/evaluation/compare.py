@@ -1,0 +1,281 @@
+"""Optimizer and network side by side, stage by stage, on one recording and by one measure: Eq. 4.
+
+The problem is posed once (`learned.evaluation.reference_problem`): motion, samples, strength λ, and Huber-TV as Ψ.
+Every X^(t) of every model is measured by it, whatever prior or network made it. Where the scene moves during exposures,
+f is taken exact at each X^(t), so that all are measured by the same f.
+"""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from learned.evaluation.costs import Cost, cost
+from learned.evaluation.inference import Run, sparing
+from learned.evaluation.reference_problem import PRIOR, Moment, Posed, moment, pose, read
+from learned.evaluation.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
+from learned.training.validation import psnr, quality
+from learned.zoo import Model, Network, Optimizer, model
+from scsr_opt.camera.recording import Recording
+from scsr_opt.errors import InputError
+from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.solvers.proximal_gradient import FISTA
+from scsr_opt.solvers.solution import Result, Solution
+
+# The solution that all are held against, and the solver that goes on from a network's picture.
+_CONVERGED = Optimizer("fista-huber", PRIOR, FISTA(iterations=2000, tolerance=1e-6))
+_ORDINARY = Optimizer("fista-huber", PRIOR, FISTA())
+# Sensor pixels at the border that PSNR and SSIM leave out: there the scene has left the sensor for a time.
+_BORDER = 8
+
+
+def compare_stages(
+    spikes: ArrayLike | Recording,
+    models: Sequence[str | Model],
+    *,
+    scale: SupportsIndex,
+    key: SupportsIndex | None = None,
+    truth: Float[Any, "H W"] | None = None,
+    white_rate: SupportsFloat | None = None,
+    gain: ArrayLike | None = None,
+    strength: SupportsFloat | None = None,
+    costs: bool = True,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Every stage of every model on the same recording, and what each kind makes of the other's picture.
+
+    Optimizers use the λ of the problem that is posed, times what their prior wants of it, and keep both pictures of
+    each iteration until they are measured: 8 bytes a pixel and iteration.
+
+    **Arguments:**
+    - `spikes`, `scale`, `key`, `white_rate`, `gain`, `strength`: as of `reconstruct`; gains of 1 if none are given.
+    - `models`: names (`learned.zoo`), paths of `.scsr` files, or models; each once.
+    - `truth`: (s·h, s·w), the picture of the key frame, intensity, where it is known.
+    - `costs`: whether seconds and FLOPs are measured, for which a network is compiled once for each of its stages.
+    - `progress`: told of the models that are done.
+
+    **Raises:** `InputError` if something handed in cannot be used, or the recording holds no usable sample.
+    """
+    here = moment(spikes, scale=scale, key=key, white_rate=white_rate)
+    known = None if truth is None else _truth(here, truth)
+    chosen = [model(one, here.scale) if isinstance(one, str) else one for one in models]
+    if not chosen:
+        raise InputError("There is nothing to compare: name at least one model.")
+    number = Counter(one.name for one in chosen)
+    again = sorted(name for name, times in number.items() if times > 1)
+    if again:
+        raise InputError(f"Of the models to compare, {', '.join(again)} comes more than once: name each once.")
+    for one in chosen:
+        one.check(here.scale)
+    networks = [one for one in chosen if isinstance(one, Network)]
+    told = NoProgress() if progress is None else progress
+    told.start(2 + len(chosen) + len(networks), "comparing")
+    try:
+        posed = pose(here, gain=gain, strength=strength)
+        if not posed.usable:
+            raise InputError(Result.no_samples.sentence)
+        told.advance(1)
+        solution = _CONVERGED.solve(posed)
+        # Once more, for the time that it takes without compilation.
+        before = pose(here, gain=gain, strength=strength).seconds if costs else None
+        measure = _Measure(posed, jnp.asarray(solution.image), known, before)
+        told.advance(1)
+        rows, last = [], {}
+        for one in chosen:
+            row, last[one.name] = measure.optimizer(one) if isinstance(one, Optimizer) else measure.network(one)
+            rows.append(row)
+            told.advance(1)
+        scratch = _ORDINARY.solve(posed) if networks else None
+        hybrids = []
+        for one in networks:
+            if scratch is not None and np.isfinite(last[one.name]).all():
+                hybrids.append(_hybrid(measure, one, last[one.name], scratch))
+            told.advance(1)
+    finally:
+        told.finish()
+    return Comparison(
+        recording=here.recording,
+        scale=here.scale,
+        key=here.key,
+        frames=len(here.stream.spikes),
+        strength=float(posed.strength),
+        reference=solution.image,
+        reference_objective=float(read(posed, jnp.asarray(solution.image)).objective),
+        reference_result=solution.result,
+        reference_iterations=len(solution.stages),
+        truth=known,
+        models=tuple(rows),
+        hybrids=tuple(hybrids),
+    )
+
+
+def _truth(here: Moment, truth: Float[Any, "H W"]) -> Float[np.ndarray, "H W"]:
+    picture = np.asarray(truth, np.float32)
+    if picture.shape != here.shape or not np.isfinite(picture).all():
+        raise InputError(
+            f"The truth has shape {picture.shape}; it must be finite and of the shape of the pictures, {here.shape}."
+        )
+    return picture
+
+
+class _Stage(NamedTuple):
+    """A stage that is to be measured: R^(t), X^(t), and the model's own objective there (NaN if it has none)."""
+
+    gradient_step: Any
+    image: Any
+    own: float
+
+
+@dataclass(frozen=True)
+class _Measure:
+    """What the stages of one model are measured by.
+
+    **Fields:** `posed`; `reference`, the converged solution; `truth`, if known; `before`, the seconds that posing
+    takes, None if costs are not to be measured.
+    """
+
+    posed: Posed
+    reference: Float[Array, "H W"]
+    truth: Float[np.ndarray, "H W"] | None
+    before: float | None
+
+    def optimizer(self, model: Optimizer) -> tuple[ModelStages, Float[np.ndarray, "H W"]]:
+        solution = model.solve(self.posed, keep_images=True)
+        stages = [_Stage(s.gradient_step, s.image, s.objective) for s in solution.stages]
+        each = None
+        if self.before is not None:
+            problem = model.problem(self.posed)
+            state = eqx.filter_jit(model.solver.init)(problem, self.posed.first)
+            each = cost(model.solver.step, problem, state)
+        measured, pictures = self._all(self.posed.first, stages, [_times(each, t) for t in range(1, len(stages) + 1)])
+        return ModelStages(model.name, solution.result, self.before, measured, pictures), solution.image
+
+    def network(
+        self, model: Network, start: Float[np.ndarray, "H W"] | None = None, *, costs: bool = True
+    ) -> tuple[ModelStages, Float[np.ndarray, "H W"]]:
+        found = model.run(self.posed.moment, start, self.posed.motion)
+        stages = [_Stage(*pictures, math.nan) for pictures in zip(found.gradient_steps, found.images, strict=True)]
+        spent: list[Cost | None] = [None] * len(stages)
+        before = None
+        if self.before is not None and costs:
+            begin = time.perf_counter()
+            made = model.call(self.posed.moment)
+            jax.block_until_ready(eqx.filter(made.arguments, eqx.is_array))
+            before = time.perf_counter() - begin
+            spent = [
+                cost(_upto, made.function, made.arguments, place, options=sparing()) for place in range(len(stages))
+            ]
+        measured, pictures = self._all(found.start, stages, spent)
+        image = np.asarray(found.images[-1])
+        result = Result.iterations_exhausted if np.isfinite(image).all() else Result.non_finite
+        return ModelStages(model.name, result, before, measured, pictures), image
+
+    def _all(
+        self, start: Float[Array, "H W"], stages: Sequence[_Stage], spent: Sequence[Cost | None]
+    ) -> tuple[tuple[StageMeasures, ...], dict[int, tuple[np.ndarray, np.ndarray]]]:
+        shown = shown_stages(len(stages))
+        measured, pictures = [], {}
+        before, slope = start, read(self.posed, start).slope
+        for number, (stage, each) in enumerate(zip(stages, spent, strict=True), 1):
+            step, image = jnp.asarray(stage.gradient_step), jnp.asarray(stage.image)
+            reading, numbers = read(self.posed, image), _numbers(before, slope, step, image, self.reference)
+            said = {name: float(value) for name, value in numbers._asdict().items()}
+            data, prior = float(reading.data), float(reading.prior)
+            misfit = max(2 * data / self.posed.weight, 0.0)
+            measured.append(
+                StageMeasures(
+                    number=number,
+                    objective=data + prior,
+                    data=data,
+                    prior=prior,
+                    own_objective=stage.own,
+                    residual=math.sqrt(misfit) if math.isfinite(misfit) else math.nan,
+                    **said,
+                    **self._judged(stage.image, number in shown),
+                    seconds=math.nan if each is None else each.seconds,
+                    flops=math.nan if each is None or each.flops is None else each.flops,
+                )
+            )
+            if number in shown:
+                pictures[number] = (np.asarray(stage.gradient_step), np.asarray(stage.image))
+            before, slope = image, reading.slope
+        return tuple(measured), pictures
+
+    def _judged(self, image: Any, shown: bool) -> dict[str, float]:
+        """PSNR; and of the stages shown the structural similarity, which takes a second for a large picture."""
+        if self.truth is None:
+            return {"psnr": math.nan, "ssim": math.nan}
+        scale = self.posed.moment.scale
+        border = min(_BORDER, min(self.posed.moment.recording.height, self.posed.moment.recording.width) // 4) * scale
+        if shown:
+            return dict(zip(("psnr", "ssim"), quality(self.truth, image, border), strict=True))
+        return {"psnr": psnr(self.truth, image, border), "ssim": math.nan}
+
+
+class _Numbers(NamedTuple):
+    """‖X − X*‖/‖X*‖; ‖X − X^(t−1)‖/‖X^(t−1)‖; the cosines of R − X^(t−1) and X − X^(t−1) with the steepest
+    descent at X^(t−1)."""
+
+    distance: Float[Array, ""]
+    step: Float[Array, ""]
+    gradient_step_cosine: Float[Array, ""]
+    step_cosine: Float[Array, ""]
+
+
+@jax.jit
+def _numbers(
+    before: Float[Array, "H W"],
+    slope: Float[Array, "H W"],
+    gradient_step: Float[Array, "H W"],
+    image: Float[Array, "H W"],
+    reference: Float[Array, "H W"],
+) -> _Numbers:
+    return _Numbers(
+        _norm(image - reference) / _norm(reference),
+        _norm(image - before) / _norm(before),
+        _cosine(gradient_step - before, -slope),
+        _cosine(image - before, -slope),
+    )
+
+
+def _norm(image: Float[Array, "H W"]) -> Float[Array, ""]:
+    return jnp.linalg.norm(image)
+
+
+def _cosine(a: Float[Array, "H W"], b: Float[Array, "H W"]) -> Float[Array, ""]:
+    """⟨a, b⟩ / (‖a‖ ‖b‖); not a number where one of them is 0, which has no direction."""
+    return jnp.sum((a / _norm(a)) * (b / _norm(b)))
+
+
+def _upto(function: Any, arguments: tuple[Any, ...], place: int) -> Float[Array, "H W"]:
+    """X^(t) alone: the compiler leaves out the stages after it."""
+    found: Run = function(*arguments)
+    return found.images[place]
+
+
+def _times(each: Cost | None, count: int) -> Cost | None:
+    return None if each is None else Cost(each.seconds * count, None if each.flops is None else each.flops * count)
+
+
+def _hybrid(measure: _Measure, network: Network, image: Float[np.ndarray, "H W"], scratch: Solution) -> Hybrid:
+    posed = measure.posed
+    went_on = _ORDINARY.solve(posed, start=image)
+    row, _ = measure.network(network, np.asarray(measure.reference), costs=False)
+    return Hybrid(
+        network=network.name,
+        optimizer=_ORDINARY.name,
+        iterations_from_scratch=len(scratch.stages),
+        objective_from_scratch=float(read(posed, jnp.asarray(scratch.image)).objective),
+        iterations=len(went_on.stages),
+        objective=float(read(posed, jnp.asarray(went_on.image)).objective),
+        stages=row.stages,
+    )

@@ -1,0 +1,117 @@
+"""Running a network on a moment of a recording: the one place that knows how each kind is called."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, UInt8
+
+from learned.evaluation.reference_problem import Moment
+from learned.networks.inputs import Inputs, make_inputs
+from learned.networks.spikesr import SpikeSRNet
+from learned.networks.unrolled_ista import UnrolledISTA
+from learned.networks.unrolled_ista_pase import SpikeInputs, UnrolledPASE, make_spike_inputs
+from learned.training.checkpoint import Card
+from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion
+
+
+class Run(NamedTuple):
+    """What the stages of a network give, intensity (1 = white).
+
+    **Fields:** `start`: X^(0). `gradient_steps`: R^(1) … R^(T). `images`: X^(1) … X^(T), the last one the result.
+    """
+
+    start: Float[Array, "H W"]
+    gradient_steps: Float[Array, "stages H W"]
+    images: Float[Array, "stages H W"]
+
+
+class Call(NamedTuple):
+    """A network ready to be called: `function(*arguments)` gives the `Run` and can be compiled."""
+
+    function: Any
+    arguments: tuple[Any, ...]
+
+
+def call(
+    net: Any, card: Card, here: Moment, start: Float[Array, "H W"] | None = None, motion: Motion | None = None
+) -> Call:
+    """How `net` is called for this moment.
+
+    **Arguments:** `start`: X^(0), the network's own if not given; `motion`: for the networks that use one, estimated if
+    not given.
+
+    **Raises:** `InputError` if the network's stages are not known, or the recording is too short for it.
+    """
+    check_stages(net, card)
+    if isinstance(net, SpikeSRNet):
+        return _spikesr_call(net, here, start)
+    if isinstance(net, UnrolledISTA):
+        inputs = make_inputs(here.stream, scale=here.scale, boundaries=net.config.boundaries, motion=motion)
+        return Call(_unrolled, (net, inputs, start))
+    # The encoder looks at neighbours: a bad pixel's spikes must be plausible, though none are measured there.
+    stream = here.stream._replace(spikes=here.seen)
+    return Call(_unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start))
+
+
+def run(made: Call) -> Run:
+    """The pictures of a network."""
+    return _compiled()(made.function, made.arguments)
+
+
+@functools.cache
+def _compiled() -> Callable[[Any, tuple[Any, ...]], Run]:
+    compiled: Any = eqx.filter_jit  # its types do not have the options of `jax.jit`, which it passes on
+    return compiled(lambda function, arguments: function(*arguments), compiler_options=sparing())
+
+
+@functools.cache
+def sparing() -> dict[str, bool | str]:
+    """Options for the compilation of a network, such that a CPU does not keep more in memory than it needs.
+
+    In XLA's usual order moments and stages wait for each other with all that they have: 24 GB for the full SpikeSR-Net
+    and a sensor of 250×400, in the place of 4.6. Versions that do not know the option do without.
+    """
+    options: dict[str, bool | str] = {"xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED"}
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda: jnp.zeros(())).lower().compile(compiler_options=options)
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return options
+
+
+def check_stages(net: Any, card: Card) -> None:
+    """**Raises:** `InputError` for a network that can be trained, but is only a part of one that has stages."""
+    if not isinstance(net, SpikeSRNet | UnrolledISTA | UnrolledPASE):
+        raise InputError(f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration.")
+
+
+def _spikesr_call(net: SpikeSRNet, here: Moment, start: Float[Array, "H W"] | None) -> Call:
+    rate = jnp.asarray(here.stream.white_rate, jnp.float32)
+    return Call(_spikesr, (net, jnp.asarray(here.seen), jnp.asarray(here.stream.key), rate, start))
+
+
+@eqx.filter_jit
+def _spikesr(
+    net: SpikeSRNet,
+    spikes: UInt8[Array, "T h w"],
+    key_frame: Int[Array, ""],
+    white_rate: Float[Array, ""],
+    start: Float[Array, "H W"] | None,
+) -> Run:
+    if start is None:
+        # What is calculated here and again in the call is the same to the compiler, which does it once.
+        start = net.initial(net.encode(spikes, key_frame, white_rate))
+    return Run(start, *net(spikes, key_frame, white_rate, start))
+
+
+@eqx.filter_jit
+def _unrolled(net: UnrolledISTA | UnrolledPASE, inputs: Inputs | SpikeInputs, start: Float[Array, "H W"] | None) -> Run:
+    start = inputs.image if start is None else start
+    return Run(start, *net(cast(Any, inputs), start))

@@ -1,0 +1,1 @@
+"""Data, loss loop, checkpoints and configurations with which the networks are trained."""

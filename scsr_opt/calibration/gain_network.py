@@ -1,0 +1,229 @@
+"""Gains of pixels that saw one point of the scene only: what a network that knows pictures takes for fixed pattern.
+
+Where nothing moves, gain and picture are one (`scsr_opt.calibration.gain`), and only an assumption on pictures tells
+them apart: edges and textures go on from pixel to pixel, gains do not. A prior makes it in the solve, on the
+high-resolution picture; here a small network makes it at sensor resolution, where the gains are, and says how much of
+each pixel's light it takes for gain. It was trained (`learned.training.gain`) to miss ln g by little in the mean of
+squares, over recordings with and without a fixed pattern: where a texture could be a pattern it says little.
+"""
+
+import functools
+import math
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
+from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
+
+from scsr_opt.camera.recording import READOUT_RATE, checked_settings
+from scsr_opt.camera.samples import mean_light
+from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.spike_times import SpikeTimes
+
+WEIGHTS = Path(__file__).parent / "weights" / "gain_network.npz"
+"""The trained network, with a card beside it that says what it was trained on."""
+# Intensity at which the logarithm of a rate becomes linear: what is darker hardly fires, and shows no gain.
+_DARK = 0.02
+# So that what the network sees of pictures is about 0 in the mean, and of noise about 1 at most.
+_MIDDLE, _NOISE, _MOST = 1.2, 10.0, 3.0
+# Sensor pixels over which noise is taken as even, and from how far bad pixels take their light.
+_EVEN, _BESIDE = 2.0, 1.0
+_LEAK = 0.1  # slope of activations below 0
+# ln g further from 0 are not believed: 1.65 and 0.61 are bad pixels rather than gains.
+_FARTHEST = 0.5
+# A recording has a fixed pattern if gains spread by so much in all but the plainest tenth of its squares of so many
+# sensor pixels a side. A part of a picture may be texture as white as gains are, so that there have to be many squares.
+# `python -m benchmarks.gains_at_rest` counts how often the rule is wrong (docs/measurements.md).
+_PATTERN, _PLAINEST, _SQUARE, _FEWEST = 0.01, 0.1, 8, 25
+# Squares darker than this are passed over, as what hardly fires shows no gain, and those of more relative noise, in
+# which a gain would be noise. So large a share of all has to be left.
+_LIT, _NOISY, _ENOUGH = 0.05, 0.04, 0.1
+# A look at this many by this many windows, of so many squares a side, tells at a fraction of the work that a large
+# sensor has no pattern: where so large a share of them is plain. Without a pattern it is 0.36 to 1 on nine of
+# scikit-image's pictures and three real recordings, with 2 % 0.15 to 0.9, with 5 % 0 to 0.24.
+_WINDOWS, _ACROSS, _PLAIN = (2, 3), 5, 0.35
+# Trained on pictures up to white: where this share of the pixels is brighter, the white rate is taken for wrong.
+_WHITE = 0.01
+
+
+class GainNetwork(eqx.Module):
+    """ln g of each pixel from the rates of a still scene: convolutions of 3×3, each added to what was before it, as in
+    networks that take noise from pictures (Zhang, Zuo, Chen, Meng, Zhang, 2017, "Beyond a Gaussian denoiser: residual
+    learning of deep CNN for image denoising"), but in the logarithm of light, in which gains are added to the picture.
+
+    **Arguments:**
+    - `channels`, `layers`: features, and convolutions, 2 at least.
+    - `key`: of the random first weights.
+    """
+
+    layers: tuple[eqx.nn.Conv2d, ...]
+
+    def __init__(self, channels: int, layers: int, *, key: PRNGKeyArray):
+        sizes = [2, *[channels] * (layers - 1), 1]
+        self.layers = tuple(
+            eqx.nn.Conv2d(before, after, 3, padding=1, key=k)
+            for before, after, k in zip(sizes, sizes[1:], jax.random.split(key, layers), strict=False)
+        )
+
+    def __call__(self, rate: Float[Array, "h w"], noise: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """ln g from a still picture and the relative standard deviation of its pixels over time (`rates_at_rest`)."""
+        seen = jnp.stack([jnp.log(rate + _DARK) + _MIDDLE, jnp.minimum(_NOISE * noise, _MOST)])
+        first, *inner, last = self.layers
+        x = _leaky(first(seen))
+        for layer in inner:
+            x = x + _leaky(layer(x))
+        return last(x)[0]
+
+    def save(self, path: Path) -> None:
+        """As an .npz file."""
+        arrays: dict[str, Any] = {}
+        for n, layer in enumerate(self.layers):
+            arrays[f"weight{n}"], arrays[f"bias{n}"] = np.asarray(layer.weight), np.asarray(layer.bias)
+        np.savez_compressed(path, **arrays)
+
+    @staticmethod
+    @functools.cache
+    def load(path: Path = WEIGHTS) -> "GainNetwork":
+        """The shipped network, or that of another file."""
+        with np.load(path) as arrays:
+            count = len(arrays.files) // 2
+            weights = [jnp.asarray(arrays[f"{name}{n}"]) for name in ("weight", "bias") for n in range(count)]
+        network = GainNetwork(weights[0].shape[0], count, key=jax.random.key(0))
+        return eqx.tree_at(
+            lambda n: [getattr(layer, name) for name in ("weight", "bias") for layer in n.layers], network, weights
+        )
+
+
+def _leaky(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    return jnp.where(x >= 0, x, _LEAK * x)
+
+
+def rates_at_rest(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    white_rate: float | int,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Intensity of each pixel of a still scene, from all its intervals, and the relative standard deviation of that,
+    as the two halves of the recording and the pixels around tell it; bad pixels take what is around them.
+    `white_rate`: spikes per frame of a pixel at intensity 1."""
+
+    good = np.ones(spikes.shape[1:], np.float32) if bad_pixels is None else (~bad_pixels).astype(np.float32)
+
+    def around(of: Float[np.ndarray, "h w"], reach: float) -> Float[np.ndarray, "h w"]:
+        return gaussian_filter(of * good, reach) / (gaussian_filter(good, reach) + np.float32(1e-6))
+
+    frames, half = len(spikes), len(spikes) // 2
+    first, second = SpikeTimes.of(spikes, 0, half), SpikeTimes.of(spikes, half)
+    whole = mean_light(first.then(second), 0, frames, white_rate=white_rate)
+    before, after = (
+        mean_light(times, begin, end, white_rate=white_rate)
+        for times, begin, end in ((first, 0, half), (second, half, frames))
+    )
+    differs = before - after
+    whole = np.where(good > 0, whole, around(whole, _BESIDE))
+    return whole, np.sqrt(around(differs**2, _EVEN)) / 2 / (whole + np.float32(_DARK))
+
+
+def gain_at_rest(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    white_rate: float | int,
+    bad_pixels: ArrayLike | None = None,
+    network: GainNetwork | None = None,
+    skip: bool = True,
+) -> Float[np.ndarray, "h w"]:
+    """Gains of a camera before a still scene, as far as they can be told from the picture.
+
+    Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
+    where they are plain. All gains are 1 unless they seem to spread by 1 % or more in nine tenths of the squares of 8×8
+    pixels that show any, 25 at least. A scene that is fine texture all over may still be taken for a pattern: 1 in
+    100 parts of 60×60 and 120×120 pixels of pictures without one.
+
+    **Arguments:**
+    - `spikes`: (T, h, w); what moves by less than a pixel is still enough.
+    - `white_rate`: spikes per frame of a pixel at intensity 1.
+    - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
+    - `network`: the shipped one, if not given.
+    - `skip`: whether windows of a large sensor that show no pattern are taken for all of it.
+
+    **Returns:** (h, w), around 1.
+
+    **Raises:** `InputError` if `white_rate` is not above 0, or `bad_pixels` no such mask.
+    """
+    bad = checked_settings(spikes.shape, READOUT_RATE, white_rate, bad_pixels)["bad_pixels"]
+    if len(spikes) < 2:
+        return np.ones(spikes.shape[1:], np.float32)
+    network = GainNetwork.load() if network is None else network
+    bad = np.zeros(spikes.shape[1:], bool) if bad is None else bad
+    if skip and _is_plain(network, spikes, white_rate, bad):
+        return np.ones(bad.shape, np.float32)
+    rate, noise = rates_at_rest(spikes, white_rate=white_rate, bad_pixels=bad)
+    rate = rate / max(float(np.quantile(rate, 1 - _WHITE)), 1.0)
+    found = _logarithm(network, rate, noise, bad)
+    spread = _spreads(found, rate, noise)
+    enough = spread.size >= max(_FEWEST, _ENOUGH * (rate.size // _SQUARE**2))
+    if not enough or np.quantile(spread, _PLAINEST) < _PATTERN:
+        return np.ones_like(rate)
+    return np.exp(found).astype(np.float32)
+
+
+def _is_plain(
+    network: GainNetwork, spikes: Shaped[np.ndarray, "T h w"], white_rate: float | int, bad: Bool[np.ndarray, "h w"]
+) -> bool:
+    """Whether windows of a sensor that is much larger than they are show that there is no pattern."""
+    reach = len(network.layers)  # a convolution of 3×3 each: so far from its border a window is as the whole sensor
+    side = _ACROSS * _SQUARE + 2 * reach
+    if 2 * math.prod(_WINDOWS) * side**2 > bad.size or min(bad.shape) < side:
+        return False
+    down, across = (np.linspace(0, n - side, k).astype(int) for n, k in zip(bad.shape, _WINDOWS, strict=True))
+    white = np.quantile(spike_counts(spikes), 1 - _WHITE) / (len(spikes) * white_rate)
+    inner, plain, seen = np.s_[reach:-reach, reach:-reach], 0, 0
+    for row, top in enumerate(down, 1):
+        windows = [np.s_[top : top + side, left : left + side] for left in across]
+        rates = [rates_at_rest(spikes[:, *w], white_rate=white_rate, bad_pixels=bad[w]) for w in windows]
+        rate, noise = np.stack([one for one, _ in rates]) / max(float(white), 1.0), np.stack([one for _, one in rates])
+        found = _logarithm(network, rate, noise, np.stack([bad[w] for w in windows]))
+        for each in zip(found, rate, noise, strict=True):
+            spread = _spreads(*(one[inner] for one in each))
+            plain, seen = plain + int(np.count_nonzero(spread < _PATTERN)), seen + spread.size
+        # As many as there can be at most count for the windows that follow: some tell before they are looked at.
+        most = seen + (len(down) - row) * len(across) * _ACROSS**2
+        if plain > _PLAIN * most:
+            return seen >= _FEWEST
+    return False
+
+
+def _logarithm(
+    network: GainNetwork,
+    rate: Float[np.ndarray, "*n h w"],
+    noise: Float[np.ndarray, "*n h w"],
+    bad: Bool[np.ndarray, "*n h w"],
+) -> Float[np.ndarray, "*n h w"]:
+    """ln g of one picture or several, 0 where a pixel is bad."""
+    one_or_all = _found if rate.ndim == 2 else _all_found
+    found = np.asarray(one_or_all(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
+    return np.where(bad, 0, np.clip(found, -_FARTHEST, _FARTHEST))
+
+
+def _spreads(
+    found: Float[np.ndarray, "h w"], rate: Float[np.ndarray, "h w"], noise: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, " n"]:
+    """Standard deviation of ln g in each square that can show gains."""
+    squares, light, noise = (_in_squares(of) for of in (found, rate, noise))
+    return squares.std(1)[(light.mean(1) > _LIT) & (noise.mean(1) < _NOISY)]
+
+
+def _in_squares(of: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
+    height, width = (length // _SQUARE * _SQUARE for length in of.shape)
+    parts = of[:height, :width].reshape(height // _SQUARE, _SQUARE, width // _SQUARE, _SQUARE)
+    return parts.transpose(0, 2, 1, 3).reshape(-1, _SQUARE**2)
+
+
+_found = eqx.filter_jit(GainNetwork.__call__)
+_all_found = eqx.filter_jit(eqx.filter_vmap(GainNetwork.__call__, in_axes=(None, 0, 0)))

@@ -1,0 +1,105 @@
+"""Which measurements are held out, for a picture made from the others to predict them (`scsr_opt.pipeline.strength`).
+
+One sample in `SHARE` is. Where the scene moves by a sensor pixel, other pixels see what this one sees: all samples of
+one pixel in five. Where it does not, one stretch of time in five, of `STRETCH` frames and two intervals at least. Each
+gap in a pixel's time adds an error at both its ends, which asks for more of a prior than all samples do.
+"""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Shaped
+
+from scsr_opt.camera.samples import Samples
+
+Sums = TypeVar("Sums")
+
+MOVED = 1.0
+"""Sensor pixels that the scene has to move at a pixel for other pixels to see what this one sees."""
+SHARE, STRETCH = 5, 8
+"""One sample in so many is held out; frames, at least, of a stretch of time that is."""
+
+
+def held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
+    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `merged`: whether samples
+    are stretches of time already where nothing moves."""
+    height, width = moved.shape
+    down, right = np.arange(height, dtype=np.int32)[:, None], np.arange(width, dtype=np.int32)
+    pixel = np.asarray(samples.row) * np.int32(width) + np.asarray(samples.column)
+    whole = moved >= MOVED
+    # A knight's move apart: no two neighbours.
+    held = (whole & ((2 * down + right) % SHARE == 0)).reshape(-1)[pixel]
+    if whole.all():
+        return held
+    duration = np.asarray(samples.stop - samples.start)
+    typical = 0.0 if merged else float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
+    length = np.float32(max(STRETCH, 2 * typical))
+    resting = np.flatnonzero(~whole.reshape(-1)[pixel])
+    start, stop = (np.asarray(of)[resting] for of in (samples.start, samples.stop))
+    stretch = np.floor((start + stop) / (2 * length)).astype(np.int32)
+    held[resting] = (stretch + _phase(moved.shape).reshape(-1)[pixel[resting]]) % SHARE == 0
+    return held
+
+
+def _phase(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
+    """From pixel to pixel another stretch, so that no time is missing."""
+    rows, columns = np.indices(shape, np.int32)
+    return 7 * rows + 3 * columns
+
+
+def light_at_rest(spikes: Shaped[np.ndarray, "T h w"], *, ends: float | int) -> Float[np.ndarray, "2 2 h w"]:
+    """Of a scene at rest, the sums that matter of the samples that are kept, [0], and of those that are held out, [1]:
+    the light that each pixel gathered, in thresholds, [0], and the frames that it took, [1].
+
+    Those are the samples of `spike_intervals`, split by `held_out`; `ends` as there. They never exist one by one, which
+    takes a third of the time.
+    """
+    fired, phase = jnp.asarray(spikes).astype(bool), jnp.asarray(_phase(spikes.shape[1:]))
+    return np.asarray(_light_at_rest(fired, phase, jnp.asarray(ends, jnp.float32)))
+
+
+@jax.jit
+def _light_at_rest(
+    fired: Bool[Array, "T h w"], phase: Int[Array, "h w"], ends: Float[Array, ""]
+) -> Float[Array, "2 2 h w"]:
+    nothing = jnp.zeros(phase.shape, jnp.float32)
+    # As a sample's duration is its weight, Σ duration² over Σ duration.
+    squares, times = _visited(
+        fired, ends, lambda sums, time, worth, *_: (sums[0] + worth * time**2, sums[1] + worth * time), (nothing,) * 2
+    )
+    length = jnp.maximum(STRETCH, 2 * squares.sum() / jnp.maximum(times.sum(), 1e-9))
+
+    def add(
+        sums: Float[Array, "2 2 h w"],
+        time: Float[Array, "h w"],
+        worth: Float[Array, "h w"],
+        light: Float[Array, "h w"],
+        middle: Float[Array, "h w"],
+    ) -> Float[Array, "2 2 h w"]:
+        held = ((middle // length).astype(jnp.int32) + phase) % SHARE == 0
+        found = worth[None] * jnp.stack([light, time])
+        return sums + jnp.where(jnp.stack([~held, held])[:, None], found[None], 0)
+
+    return _visited(fired, ends, add, jnp.zeros((2, 2, *phase.shape), jnp.float32))
+
+
+def _visited(fired: Bool[Array, "T h w"], ends: Float[Array, ""], add: Callable[..., Sums], sums: Sums) -> Sums:
+    """`sums` after `add(sums, time, worth, light, middle)` of each interval and end: frames that it lasts and what each
+    is worth, thresholds gathered, and its middle, as a frame; of all pixels at once, 0 worth where a pixel has none."""
+
+    def frame(carry: tuple[Array, Array, Sums], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Sums], None]:
+        begin, seen, sums = carry
+        t, fired = now
+        worth = jnp.where(fired, jnp.where(seen, 1, ends), 0)
+        sums = add(sums, t - begin, worth, jnp.where(seen, 1.0, 0.5), (begin + t) / 2)
+        return (jnp.where(fired, t, begin), seen | fired, sums), None
+
+    frames = jnp.arange(len(fired), dtype=ends.dtype)
+    # Frame t covers [t − ½, t + ½].
+    first = jnp.full(fired.shape[1:], -0.5, ends.dtype), jnp.zeros(fired.shape[1:], bool), sums
+    (begin, seen, sums), _ = jax.lax.scan(frame, first, (frames, fired))
+    end = jnp.asarray(len(fired) - 0.5, ends.dtype)
+    return add(sums, end - begin, jnp.broadcast_to(ends, begin.shape), jnp.where(seen, 0.5, 0.0), (begin + end) / 2)

@@ -1,0 +1,209 @@
+"""What a scene doesn't need: which parts of a recording ask for how much work, and what that saved.
+
+A still wall beside a moving car must not cost as much as the car. So nothing is done twice that once is enough for:
+
+- **Motion.** Nothing is estimated where the recording does not contradict rest, one motion where it does not contradict
+  that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`). Fits to
+  what moves apart begin with a quarter of their points.
+- **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
+  pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording; so are runs
+  of intervals of one frame, as far as the positions along an exposure lie close enough and nothing is being hidden.
+  What is hidden or has left the picture gives none. An exposure has as many positions as what it sees moves.
+- **The grid.** Where nothing moves at all, samples lie on the sensor's grid, and the blurred picture is not computed in
+  between. Seen through a perfect lens, a sensor pixel then says something of its own block of the picture alone: the
+  step along the data is exact, and what is left is a cheap one along the prior (`DataProximal`).
+- **The iteration.** Elsewhere, and with a prior that couples near pixels only, tiles that are finished are left alone
+  and the others gone on with, until an iteration of the whole picture says that no tile is above its limit
+  (`scsr_opt.solvers.tiles`). So are corrections for exposures made where the picture has moved on.
+- **The strength.** Where nothing moves at all, what is held out to find λ, and what is kept, are sums over each pixel's
+  intervals, which are not made one by one.
+- **Gains.** Windows of a large sensor, and some of the pixels, say whether there is a fixed pattern; all of them are
+  looked at only where there is.
+
+`Plan` says of each tile of the sensor which of these apply, and why. What the spikes have to say is asked by tests:
+
+- *Something moves* by score tests of rest, of each pixel's surroundings (`scsr_opt.motion.estimators.evidence`) and of
+  the whole scene (`moves_as_one`, p < 10⁻⁴); that all of it moves in one way by the same tests of that motion.
+- *Dark, saturated, uniform* by the numbers of spikes in a tile, each with a false-alarm rate of 0.1 %.
+- *Fast* is what the motion and its visibility say, without a test of its own.
+
+How often they are wrong on simulated recordings, above all plain ones that fire in a simple rhythm, is measured by
+`benchmarks.false_alarms` (docs/measurements.md).
+"""
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+from scipy.stats import chi2, norm
+
+from scsr_opt.camera.saturation import SATURATED, spike_counts
+from scsr_opt.motion.trajectory import Motion
+
+# Side of a tile, sensor pixels.
+TILE = 16
+DARK = 4.0
+"""With fewer spikes than these a pixel tells next to nothing alone; the prior and its neighbours have to."""
+# Share of a tile's pixels that must be still over the whole recording for the tile to be at rest.
+_STILL = 0.5
+# Share of a tile's light that must be usable: less, and most of what it sees is out of view in the key frame.
+_USED = 0.5
+# The chance that a tile without texture is taken for one with texture, one with enough spikes for dark, or one that has
+# frames without a spike for saturated.
+_FALSE_ALARM = 1e-3
+
+
+class Kind(enum.IntEnum):
+    """What a tile asks for. Where several apply, the first of `SATURATED`, `DARK`, `FAST` counts before the others."""
+
+    STATIC = 0
+    UNIFORM = 1
+    MOVING = 2
+    DARK = 3
+    FAST = 4
+    SATURATED = 5
+
+
+# Where nothing moves, and why its measurements may not be merged all the same.
+_AT_REST = "nothing moves: no motion, and a pixel's intervals are merged into one"
+_APART = "nothing moves: no motion, but nothing is merged: it gains little here, or each measurement is to be judged"
+_REASONS = {
+    Kind.STATIC: _AT_REST,
+    Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
+    Kind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while it "
+    "hardly moves, or in runs where it fires in every frame",
+    Kind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
+    Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
+    Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What each tile of the sensor asks for.
+
+    **Fields:**
+    - `kind`: (rows, columns) of `Kind`, tiles of `tile` × `tile` sensor pixels (the last ones may be smaller).
+    - `merged_for`: (rows, columns), frames over which a pixel's intervals are merged, the least in the tile.
+    - `used`: (rows, columns), the share of the light whose place in the key frame is known and in view.
+    - `scene`: the motion of the whole: "at rest", "one motion", "layers" or "a motion for each pixel".
+    - `intervals`: measurements that there would be if nothing were left out; `samples`: those that are used.
+    """
+
+    kind: Int[np.ndarray, "rows columns"]
+    merged_for: Int[np.ndarray, "rows columns"]
+    used: Float[np.ndarray, "rows columns"]
+    scene: str
+    intervals: int
+    samples: int
+    tile: int = TILE
+
+    def share(self, kind: Kind) -> float:
+        """The share of the tiles that are of a kind."""
+        return float(np.mean(self.kind == kind))
+
+    def reason(self, kind: Kind) -> str:
+        """What is done in tiles of a kind, in words."""
+        merged = bool((self.merged_for[self.kind == kind] > 1).any())
+        return _APART if kind is Kind.STATIC and not merged else _REASONS[kind]
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """For a report: shares of the tiles by kind, and how many measurements there are instead of how many."""
+        shares = {kind.name.lower(): round(self.share(kind), 4) for kind in Kind}
+        return {"scene": self.scene, "tiles": shares, "intervals": self.intervals, "samples": self.samples}
+
+    def lines(self) -> list[str]:
+        """What was skipped and why, for people."""
+        saved = 100 * max(1 - self.samples / max(self.intervals, 1), 0)
+        instead = f" instead of {self.intervals:,} ({saved:.0f} % fewer)" if self.samples != self.intervals else ""
+        text = [f"Scene: {self.scene}.", f"Measurements: {self.samples:,}{instead}."]
+        for kind in sorted(Kind, key=self.share, reverse=True):
+            share = 100 * self.share(kind)
+            if share > 0:
+                text.append(f"{f'{share:.0f}' if share >= 1 else 'under 1'} % of the tiles: {self.reason(kind)}.")
+        return text
+
+
+def plan_of(
+    spikes: Shaped[np.ndarray, "T h w"],
+    motion: Motion,
+    still_for: Int[np.ndarray, "h w"],
+    merged_for: Int[np.ndarray, "h w"],
+    *,
+    pixel: Int[np.ndarray, " n"],
+    light: Float[np.ndarray, " n"],
+    used: Float[np.ndarray, " n"],
+    noise: float,
+    bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+) -> Plan:
+    """The plan that a recording was measured by.
+
+    A tile is uniform if the numbers of spikes of its pixels differ no more than their noise makes them (χ² over the
+    tile's pixels, with a false-alarm rate of 0.1 %), and dark or saturated if their mean is below or above the limit by
+    more than noise would make it (one side of a normal distribution, the same rate).
+
+    **Arguments:**
+    - `still_for`, `merged_for`: frames over which what each pixel sees hardly moves, and those over which its
+      intervals were merged.
+    - `pixel`, `light`, `used`: of each sample, the flattened sensor pixel, its weight as measured, and as placed.
+    - `noise`: standard deviation of a pixel's mean number of spikes per frame.
+    - `bad_pixels`: true where the spikes say nothing; a tile of no others is dark.
+    """
+    frames, height, width = spikes.shape
+    good = np.ones((height, width), bool) if bad_pixels is None else ~bad_pixels
+    count = spike_counts(spikes) * good
+    fired = count.astype(np.float32) / np.float32(frames)
+    # A pixel whose weight changes for a moment, as chance may have it, makes nothing move.
+    still = still_for >= frames
+    farthest = motion.speed + np.hypot(*motion.acceleration) * np.float32(frames / 2)
+    as_little = np.asarray(farthest <= farthest[still].max(initial=0), np.float32)
+    pixels = np.maximum(_tiles(good.astype(np.float32), np.add), 1)
+    mean = _tiles(fired, np.add) / pixels
+    scatter = _tiles(fired**2, np.add) - pixels * mean**2
+    # However regular spikes are, the phase of a pixel's first one is chance: the whole number of them between x and
+    # x + 1 then has a variance of up to ¼.
+    variance = max(noise**2, 1 / 4 / frames**2)
+    flat = scatter <= variance * chi2.ppf(1 - _FALSE_ALARM, np.maximum(pixels - 1, 1))
+    doubt = norm.isf(_FALSE_ALARM) * np.sqrt(variance / pixels)
+
+    def of_tiles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows columns"]:
+        summed = np.bincount(pixel, values, minlength=height * width).reshape(height, width)
+        return _tiles(summed.astype(np.float32), np.add)
+
+    share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
+    kind = np.full(mean.shape, int(Kind.MOVING))
+    rests = _tiles((still & good).astype(np.float32), np.add) >= _STILL * pixels
+    rests &= _tiles(as_little, np.minimum) > 0
+    kind[rests] = Kind.STATIC
+    kind[rests & flat] = Kind.UNIFORM
+    kind[share < _USED] = Kind.FAST
+    kind[(mean + doubt) * frames < DARK] = Kind.DARK
+    # One spike is of the charge that was there before the first frame.
+    kind[mean - doubt - 1 / frames >= SATURATED] = Kind.SATURATED
+    return Plan(
+        kind=kind,
+        merged_for=_tiles(merged_for.astype(np.float32), np.minimum).astype(np.int32),
+        used=share.astype(np.float32),
+        scene=_scene(motion),
+        intervals=int(count.sum()) + int(np.count_nonzero(good)),
+        samples=int(np.count_nonzero(used)),
+    )
+
+
+def _scene(motion: Motion) -> str:
+    if not motion.moves:
+        return "at rest"
+    if motion.layers is not None:
+        return f"{len(motion.layers.depth)} layers"
+    # An affine or perspective field has no third differences.
+    third = max(float(np.abs(np.diff(motion.velocity, 3, axis=axis)).max(initial=0)) for axis in (1, 2))
+    return "one motion" if third <= 1e-4 * float(np.abs(motion.velocity).max()) else "a motion for each pixel"
+
+
+def _tiles(values: Float[np.ndarray, "h w"], reduced: np.ufunc) -> Float[np.ndarray, "rows columns"]:
+    """One number for each tile, from its pixels."""
+    rows, columns = (np.arange(0, length, TILE) for length in values.shape)
+    return reduced.reduceat(reduced.reduceat(values, columns, axis=1), rows, axis=0)

@@ -1,0 +1,428 @@
+"""How much weight the prior gets: the strength λ of Eq. 4, from the recording itself.
+
+Two things are known. The noise between neighbouring intervals of a pixel says how far the gradient of f is moved by
+chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor of 2 of 1.
+In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and smooth
+scenes want several times as much. So λ is validated (`validated_strength`): part of the samples is held out, and the
+picture made from the others has to predict them.
+"""
+
+import dataclasses
+import math
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from scsr_opt._threads import in_threads
+from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
+from scsr_opt.camera.sampling_rules import Intervals, Measuring
+from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion, Trajectory
+from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.exposure import with_exposure
+from scsr_opt.operators.operator import LinearOperator
+from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
+from scsr_opt.pipeline.folds import MOVED, STRETCH, held_out, light_at_rest
+from scsr_opt.pipeline.measurement import Measurements, Stream, measured
+from scsr_opt.priors.huber_total_variation import HuberTotalVariation
+from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
+from scsr_opt.solvers.loop import Solver, run
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.proximal_gradient import FISTA
+from scsr_opt.solvers.quasi_newton import Smooth
+
+# λ = _SMOOTHING · √(noise / frames) · 2 / scale · relative_strength. The square root is how far noise moves the
+# gradient of f at a pixel, which total variation has to hold down; the constant and the scale's part were found on
+# stills with known answers, several kinds of motion, two lights and two scales (docs/measurements.md).
+_SMOOTHING = 0.06
+
+# Side of the parts of the picture that λ is validated on, in high-resolution pixels, and how many there are at most.
+_SIDE, _PARTS = 256, 3
+# Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
+# that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
+# by noise alone believed, where it lost more often than not.
+_BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.4)
+# What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
+# (docs/data-term.md).
+_LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.25, 16.0, 256.0
+# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time. Where that
+# predicts best with k times the strength by noise, the learned prior does with a·k^b (both measured): it knows pictures
+# better, and noise moves it less.
+_STAND_IN = (0.65, 0.6)
+# Pixels, about, whose intervals tell the noise: their mean square is known to half a percent.
+_SAMPLED = 5_000
+# Samples that have to be kept, and to be held out, for it to tell anything.
+_FEWEST = 100
+# A validation need not be solved to the end.
+_ITERATIONS, _TOLERANCE = 60, 5e-4
+
+
+def strength_of_noise(noise: float, scale: int, prior: Prior) -> float:
+    """λ from how much neighbouring intervals differ (`noise_of_mean`). **Raises:** as `relative_strength`."""
+    return _SMOOTHING * noise * 2 / scale * relative_strength(prior)
+
+
+def relative_strength(prior: Prior) -> float:
+    """That of the prior. **Raises:** `InputError` where there is none."""
+    found = prior.relative_strength
+    if found is None:
+        raise InputError(
+            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; hand one in: "
+            "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-3."
+        )
+    return found
+
+
+def noise_of_mean(stream: Stream) -> float:
+    """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
+    a sample of the pixels, every second row and column or fewer.
+
+    Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
+    chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
+    """
+    apart = max(2, round((stream.spikes[0].size / _SAMPLED) ** 0.5))
+    few = stream.spikes[:, ::apart, ::apart]
+    bad = None if stream.bad_pixels is None else stream.bad_pixels[::apart, ::apart]
+    samples = spike_intervals(few, white_rate=stream.white_rate, bad_pixels=bad, ends=0)
+    follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
+    difference = (samples.value[1:] - samples.value[:-1])[follows]
+    duration = ((samples.weight[1:] + samples.weight[:-1]) / 2)[follows]
+    if difference.size:
+        noise = difference**2 * duration / 2  # variance of an interval of one frame
+        noise = float(np.minimum(noise, np.quantile(noise, 0.9)).mean())  # passing edges are not noise
+    else:
+        noise = 0.0
+    noise = max(noise, 1e-3)  # spikes are counted in whole frames: never free of it
+    frames = len(stream.spikes)
+    fired = np.count_nonzero(few, axis=0)[... if bad is None else ~bad]
+    if fired.size and np.median(fired) < 2:
+        noise = max(noise, 1 / (6 * stream.white_rate**2 * frames))
+    return (noise / frames) ** 0.5
+
+
+class Validated(NamedTuple):
+    """A strength λ, and what finding it left behind where the whole picture was one part.
+
+    **Fields:**
+    - `image`: of the pictures that were made that of the strength nearest to it (before a prior that stood in is
+      accounted for), (H, W), intensity: a start much nearer to the solution than playback. None if it is not finite.
+    - `term`: M, c and e of all samples, those that were held out added to the others, if work is to be skipped; None
+      where strengths were tried on other samples than those of the picture.
+    """
+
+    strength: float
+    image: Float[Array, "H W"] | None = None
+    term: DataTerm | None = None
+
+
+class _Part:
+    """A part of the picture on which strengths are tried: a picture is made from some of its samples and has to predict
+    the others.
+
+    **Attributes:** `image`, the last picture, (H, W).
+    """
+
+    def __init__(
+        self,
+        kept: PlacedSamples,
+        held: PlacedSamples,
+        first: Float[Array, "H W"],
+        optics: LinearOperator | None,
+        *,
+        both: bool = False,
+    ):
+        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0); `both`: whether
+        `term` will be asked for, whose sums are found beside the others."""
+        self.image, self._first = first, first
+        self._kept, self._held = kept, held
+        self._sums = in_threads(partial(accumulate, optics=optics), [kept, held] if both else [kept])
+        self._plain = self._term = self._sums[0]
+        self._states: dict[float, Any] = {}
+
+    def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
+        """Makes the picture of this strength; it starts at the duals of the nearest one so far."""
+        problem = Problem(self._term, prior, jnp.asarray(strength, jnp.float32))
+        nearest = min(self._states, key=lambda other: abs(math.log(other / strength)), default=None)
+        similar = None if nearest is None else self._states[nearest]
+        state = run(solver, problem, self._first, similar=similar).state
+        self._states[strength], self.image = solver.kept(state), solver.image(state)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is a picture that others can start from."""
+        return bool(self._states)
+
+    def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
+        """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
+        plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
+        self._plain = self._term = solver.prepared(plain).data
+        for _ in range(2 if self._kept.finest > 1 else 0):
+            self.solve(solver, prior, strength)
+            self._term = with_exposure(self._plain, self._kept, self.image)
+
+    def missed(self) -> Float[Array, "2"]:
+        """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
+        return _missed(self._held, self._plain, self.image)
+
+    def term(self) -> DataTerm | None:
+        """M, c and e of all its samples, if those of `both` are known."""
+        return _together(*self._sums) if len(self._sums) == 2 else None
+
+
+def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
+    """`_Part.missed` of the picture of this strength."""
+    part.solve(solver, prior, strength)
+    return np.asarray(part.missed())
+
+
+def validated_strength(
+    stream: Stream,
+    motion: Motion,
+    taken: Measurements | Trajectory,
+    image: Float[Array, "H W"],
+    *,
+    scale: int,
+    prior: Prior,
+    solver: Solver,
+    measuring: Measuring,
+    gain: Float[np.ndarray, "h w"] | None = None,
+    optics: LinearOperator | None = None,
+    noise: float | None = None,
+    skip: bool = True,
+) -> Validated:
+    """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more (`_BEYOND`).
+
+    Strengths a factor of 2 apart around that of the noise are tried, the best is interpolated. Up to three parts of
+    the picture serve, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: a plain
+    one, one of middling contrast and a rich one, as one part alone may ask for a quarter or for four times of what the
+    whole does. A lens makes the whole picture one part, as its blur is made for one size.
+
+    **Arguments:** `taken`, the measurements of the recording along the motion, or where several parts serve
+    (`in_parts`), which are measured anew, its path alone; `image`, X^(0) (`first_picture`);
+    `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
+    use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`. `noise`: what
+    `noise_of_mean` finds, if that is known. `skip`: as of `reconstruct`.
+
+    **Raises:** as `relative_strength`.
+    """
+    least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
+    side = _side_of_parts(stream, scale, optics)
+    good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
+    moved = motion.moved(len(stream.spikes))
+    all_taken, path = (None, taken) if isinstance(taken, Trajectory) else (taken, taken.path)
+    on_sensor = len(path.position) == 1 if all_taken is None else all_taken.placed.on_sensor
+
+    # What is held out has to be in pieces.
+    as_taken = None if all_taken is None or (all_taken.merged_for > 1).any() else all_taken
+
+    def made(area: tuple[slice, slice]) -> _Part | None:
+        # Sums of few pixels are too few to tell.
+        merge = skip and int(good[area].sum()) >= _FEWEST
+        pieces, part, first, merged = as_taken, stream.part(*area), image[_scaled(area, scale)], False
+        of_part = None if gain is None else gain[area]
+        if pieces is None or good[area].shape != good.shape:
+            # No more is merged than what is held out as a whole, if that holds intervals enough.
+            if merge and isinstance(measuring, Intervals):
+                if on_sensor and measuring.noise is None:
+                    ends = measuring.ends
+                    of_area = path.part(*area)
+                    return _part_at_rest(part, of_area, first, scale=scale, ends=ends, gain=of_part, optics=optics)
+                frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
+                merged = bool(frames_each.mean() <= STRETCH / 2)
+            pieces = measured(
+                part,
+                path.part(*area),
+                scale=scale,
+                measuring=measuring,
+                gain=of_part,
+                merge=merge,
+                longest=STRETCH if merged else 1,
+                on_sensor=skip,
+            )
+        return _split(pieces, moved[area], merged, optics, first, both=skip and pieces is as_taken)
+
+    areas = _chosen(image, scale, side, good)
+    found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
+    parts = [part for _, part in found]
+    if not parts:
+        return Validated(least)
+    # A prior that is used by its gradient need not have a proximal step.
+    kind = solver if isinstance(solver, Smooth) else FISTA()
+    solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
+    learned = isinstance(prior, RidgeRegulariser)
+    stand_in = HuberTotalVariation() if learned else prior
+    share = relative_strength(prior) / relative_strength(stand_in)
+    tried: dict[float, float] = {}
+    pictures: dict[float, Float[Array, "H W"]] = {}
+    whole = parts[0].image.shape == image.shape
+
+    in_threads(lambda part: part.expose(solver, stand_in, least / share), parts)
+
+    def missed(factor: float) -> float:
+        if factor not in tried:
+            squares, weights = np.sum(in_threads(partial(_misses, solver, stand_in, least * factor / share), parts), 0)
+            tried[factor] = float(squares / weights)
+            if whole:
+                pictures[factor] = parts[0].image
+        return tried[factor]
+
+    best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
+    if not any(part.begun for part in parts):
+        missed(2.0)  # from nothing a smoother picture is found sooner, and is a start for others
+    while missed(best) > missed(2 * best) and 2 * best < highest:
+        best *= 2
+    while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
+        best /= 2
+    best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
+    by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in found]))
+    beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
+    times, near, term = max(at_least, beyond * best), None, None
+    if whole:
+        term = parts[0].term()
+        near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
+        near = near if bool(jnp.isfinite(near).all()) else None
+    if learned:
+        times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
+    return Validated(least * times, near, term)
+
+
+def _chosen(
+    image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
+) -> list[tuple[slice, slice]]:
+    """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `_PARTS` at most. All
+    parts that overlap by up to half are sorted by their mean contrast in `image` into as many groups; of each, the one
+    nearest to the group's mean is taken, of equals that nearest to the middle. Only `good` pixels count, and parts with
+    less than half their share of them are left out."""
+    height, width = good.shape
+    contrast = good * np.asarray(_contrast(jnp.asarray(image), scale))
+    begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in good.shape]
+    places = np.stack(np.meshgrid(*begins, indexing="ij"), -1).reshape(-1, 2).astype(int)
+    places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
+    parts = [(slice(row, min(row + side, height)), slice(column, min(column + side, width)))
+             for row, column in places.tolist()]  # fmt: skip
+    enough = good.mean() / 2
+    parts = [part for part in parts if good[part].mean() >= enough] or parts
+    rich = np.array([contrast[part].sum() / max(good[part].sum(), 1) for part in parts])
+    fitting = max(1, good.size // (min(side, height) * min(side, width)))
+    groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), _PARTS))
+    return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
+
+
+@partial(jax.jit, static_argnames="scale")
+def _contrast(image: Float[Array, "H W"], scale: int) -> Float[Array, "h w"]:
+    """Mean of the differences from pixel to pixel in each sensor pixel."""
+    down, right = (jnp.abs(jnp.diff(image, axis=k, prepend=jnp.take(image, jnp.array([0]), k))) for k in (0, 1))
+    height, width = (length // scale for length in image.shape)
+    return (down + right).reshape(height, scale, width, scale).mean((1, 3))
+
+
+def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
+    """The high-resolution pixels of sensor pixels."""
+    rows, columns = area
+    return slice(scale * rows.start, scale * rows.stop), slice(scale * columns.start, scale * columns.stop)
+
+
+def _split(
+    taken: Measurements,
+    moved: Float[np.ndarray, "h w"],
+    merged: bool,
+    optics: LinearOperator | None,
+    first: Float[Array, "H W"],
+    *,
+    both: bool,
+) -> _Part | None:
+    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `both`: as
+    of `_Part`."""
+    held, weight = held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
+    counted = np.flatnonzero(held & (weight > 0))
+    if min(counted.size, np.count_nonzero(weight) - counted.size) < _FEWEST:
+        return None
+    # Of few lengths, for compiled code to be met again.
+    filling = (0, padded_length(counted.size) - counted.size)
+    chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
+    chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
+    kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
+    return _Part(kept, chosen, first, optics, both=both)
+
+
+def _part_at_rest(
+    part: Stream,
+    path: Trajectory,
+    first: Float[Array, "H W"],
+    *,
+    scale: int,
+    ends: float | int,
+    gain: Float[np.ndarray, "h w"] | None,
+    optics: LinearOperator | None,
+) -> _Part | None:
+    """What `_split` makes of intervals where nothing moves: all that a pixel keeps, and all that is held out of it, is
+    one sample. What is missed then differs from what the intervals are missed by in a number that is the same for all
+    pictures."""
+    frames, height, width = part.spikes.shape
+    rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
+    good = np.float32(1) if part.bad_pixels is None else ~part.bad_pixels
+    over = np.float32(part.white_rate) * (np.float32(1) if gain is None else gain)
+
+    def placed(sums: Float[np.ndarray, "2 h w"]) -> PlacedSamples:
+        light, time = sums
+        samples = Samples(
+            row=rows,
+            column=columns,
+            start=np.zeros(rows.size, np.float32),
+            stop=np.full(rows.size, frames - 1, np.float32),
+            value=(light / np.where(time > 0, time, 1) / over).reshape(-1).astype(np.float32),
+            weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
+        ).padded()
+        shape = (scale * height, scale * width)
+        return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
+
+    kept, held = map(placed, light_at_rest(part.spikes, ends=ends))
+    if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
+        return None
+    return _Part(kept, held, first, optics)
+
+
+def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
+    """Frames over which intervals may be merged so that the same samples serve the picture and the validation: 1 where
+    something moves and the whole picture is one part, as what is held out has to be in pieces; None for any."""
+    return 1 if motion.speed.any() and not in_parts(stream, scale, optics) else None
+
+
+def in_parts(stream: Stream, scale: int, optics: LinearOperator | None = None) -> bool:
+    """Whether strengths are tried on parts of the picture, or on the whole."""
+    return max(stream.spikes.shape[1:]) > _side_of_parts(stream, scale, optics)
+
+
+def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:
+    """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
+    return max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
+
+
+@eqx.filter_jit
+def _missed(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
+    """Sums of the weighted squares by which a picture misses the held-out samples, and of their weights."""
+    error = held.read(term.blurred(image)) - held.value
+    return jnp.stack([jnp.sum(held.weight * error**2), jnp.sum(held.weight)])
+
+
+@eqx.filter_jit
+def _together(some: DataTerm, others: DataTerm) -> DataTerm:
+    """The term of some samples and of others."""
+
+    def sums(of: DataTerm) -> Any:
+        return of.stencil.planes, of.target, of.energy
+
+    return eqx.tree_at(sums, some, jax.tree.map(jnp.add, sums(some), sums(others)))
+
+
+def _vertex(before: float, at: float, after: float) -> float:
+    """Where the parabola through three values at −1, 0 and 1 is least, within these."""
+    curvature = before - 2 * at + after
+    return float(np.clip((before - after) / (2 * curvature), -1, 1)) if curvature > 0 else 0.0

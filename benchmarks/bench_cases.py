@@ -17,9 +17,9 @@ from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion.validation import given
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.sampling import accumulate
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.measurement import first_picture, measured, stream_around
 from scsr_opt.pipeline.strength import validated_strength
-from scsr_opt.priors import default_prior
 from scsr_opt.solvers import FISTA
 
 FRAMES = 101

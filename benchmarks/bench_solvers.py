@@ -27,7 +27,7 @@ from benchmarks.choosing_solvers import Exact, exact
 from benchmarks.stress_methods import SOLVERS
 from scsr_opt import priors, solvers
 from scsr_opt.camera.sampling_rules import Intervals, Measuring, Windows
-from scsr_opt.priors import default_prior
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress

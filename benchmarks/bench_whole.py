@@ -14,7 +14,7 @@ from scsr_opt.baselines import BASELINES
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import Windows
 from scsr_opt.motion import Dense, Global, Still
-from scsr_opt.priors import default_prior
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.progress import Progress
 
 DEFAULT = "reconstruct"

@@ -28,9 +28,9 @@ from scsr_opt.camera import Intervals
 from scsr_opt.motion import Motion, estimate_motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.operators.sampling import PlacedSamples, place
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.measurement import Stream, measured
 from scsr_opt.pipeline.outer_loop import Rounds
-from scsr_opt.priors import default_prior
 from scsr_opt.solvers import FISTA
 
 # Times the strength that `reconstruct` chose.

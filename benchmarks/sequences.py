@@ -17,13 +17,13 @@ from collections.abc import Callable
 from statistics import median
 
 import numpy as np
+from scsr_opt.pipeline.preparation import FRAMES
 
 from benchmarks.skipping import tile_change, unskipped
 from scsr_opt import Recording, Solution, reconstruct, sequence
 from scsr_opt.camera import read_recording
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.measurement import stream_around
-from scsr_opt.pipeline.preparation import FRAMES
 
 
 def main() -> None:

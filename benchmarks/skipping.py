@@ -27,9 +27,9 @@ from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
 from scsr_opt.motion import Automatic, Motion, estimate_motion
 from scsr_opt.operators import Aperture
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.measurement import Stream, measured, stream_around
 from scsr_opt.pipeline.scene_summary import TILE
-from scsr_opt.priors import default_prior
 
 
 class Case(NamedTuple):

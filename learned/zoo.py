@@ -33,16 +33,22 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from learned.evaluation.inference import Call, Run, call, check_stages, run
-from learned.evaluation.reference_problem import PRIOR, Known, Moment, Posed, moment, pose
+from learned.evaluation.reference_problem import (
+    PRIOR,
+    ReferenceClip,
+    ReferenceProblem,
+    reference_clip,
+    reference_problem,
+)
 from learned.evaluation.stages import stages_of
 from learned.networks.restoration import RestorationNet, first_prior, restored
-from learned.networks.spikesr import parameter_count
 from learned.training import checkpoint
 from scsr_opt import reconstruct
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
+from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.priors.centred import Centred
 from scsr_opt.priors.prior import Prior
@@ -52,7 +58,7 @@ from scsr_opt.progress import Progress
 from scsr_opt.solvers.loop import Solver
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
-from scsr_opt.solvers.solution import Result, Solution, Stage
+from scsr_opt.solvers.record import Stage, Status
 
 CHECKPOINTS = Path(__file__).parent / "checkpoints"
 """Where the shipped weights are."""
@@ -93,7 +99,9 @@ class Optimizer:
         **Raises:** `InputError` if something handed in cannot be used.
         """
         if start is not None:
-            posed = pose(moment(spikes, scale=scale, key=key, white_rate=white_rate), prior=self.prior)
+            posed = reference_problem(
+                reference_clip(spikes, scale=scale, key=key, white_rate=white_rate), prior=self.prior
+            )
             return self.solve(posed, start=start, keep_images=keep_images, progress=progress)
         return reconstruct(
             spikes,
@@ -108,7 +116,7 @@ class Optimizer:
 
     def solve(
         self,
-        posed: Posed,
+        posed: ReferenceProblem,
         *,
         start: Float[Array | np.ndarray, "H W"] | None = None,
         keep_images: bool = False,
@@ -118,13 +126,13 @@ class Optimizer:
         problem = self.problem(posed)
         state = None
         if start is not None and posed.usable:
-            state = _state(self.solver, problem, _picture(posed.moment, start))
+            state = _state(self.solver, problem, _picture(posed.clip, start))
         return reconstruct(
-            posed.moment.recording,
-            scale=posed.moment.scale,
-            key=posed.moment.key,
-            white_rate=posed.moment.stream.white_rate,
-            velocity=Known(posed.motion),
+            posed.clip.recording,
+            scale=posed.clip.scale,
+            key=posed.clip.key,
+            white_rate=posed.clip.clip.white_rate,
+            motion=posed.motion,
             gain=posed.gain,
             prior=self.prior,
             strength=float(problem.strength),
@@ -137,7 +145,7 @@ class Optimizer:
     def check(self, scale: int) -> None:
         """Raises nothing: it can be used at every scale."""
 
-    def problem(self, posed: Posed) -> Problem:
+    def problem(self, posed: ReferenceProblem) -> Problem:
         """The problem of the first iteration: with the model's own prior, and as much of it as is posed."""
         share = relative_strength(self.prior) / relative_strength(posed.prior)
         data = posed.problem(posed.first).data
@@ -153,10 +161,10 @@ class CentredOptimizer(Optimizer):
     """Eq. 4 solved as by `Optimizer`, the solution restored by a network, and Eq. 4 solved again with the prior centred
     there, λ twice as large (`learned.networks.restoration`).
 
-    Of the `Solution`, `stages` are those of both solves, the first `stats["first_iterations"]` of them of the first;
+    Of the `Solution`, `stages` are those of both solves, the first `diagnostics.first_iterations` of them of the first;
     the objective is that of the solve that a stage belongs to. Among the seconds are those of the `first solve` and of
     `restoring`. Where the first solve fails, or there is nothing to solve for, or what the network makes is not finite
-    (`Result.non_finite`), the first solution is returned. Where gains of pixels are not handed in, each solve finds its
+    (`Status.non_finite`), the first solution is returned. Where gains of pixels are not handed in, each solve finds its
     own.
 
     **Fields:** as of `Optimizer`, and `path` of the network's weights.
@@ -204,14 +212,14 @@ class CentredOptimizer(Optimizer):
 
     def solve(
         self,
-        posed: Posed,
+        posed: ReferenceProblem,
         *,
         start: Float[Array | np.ndarray, "H W"] | None = None,
         keep_images: bool = False,
         progress: Progress | None = None,
     ) -> Solution:
         """As of `Optimizer`, both solves with motion and gain as they are posed."""
-        here = posed.moment
+        here = posed.clip
         self.check(here.scale)
         first = super().solve(posed, start=start, keep_images=keep_images, progress=progress)
         again = functools.partial(
@@ -219,7 +227,7 @@ class CentredOptimizer(Optimizer):
             here.recording,
             scale=here.scale,
             key=here.key,
-            white_rate=here.stream.white_rate,
+            white_rate=here.clip.white_rate,
             gain=posed.gain,
         )
         return self._again(first, again, keep_images=keep_images, progress=progress)
@@ -229,32 +237,34 @@ class CentredOptimizer(Optimizer):
         _check_scale(self.path, self.net.config.scale, scale)
 
     def _again(self, first: Solution, again: Callable[..., Solution], **options: Any) -> Solution:
-        if not first.result.good or first.state is None or first.motion is None:
+        if not first.status.usable or first.state is None or first.motion is None:
             return first
         begin = time.perf_counter()
-        strength = first.stats["strength"]
+        strength = first.diagnostics.strength
+        assert strength is not None  # a solve that was usable had one
         centre = restored(self.net, jnp.asarray(first.image), np.float32(strength))
         if not bool(jnp.isfinite(centre).all()):
-            return dataclasses.replace(first, result=Result.non_finite)
+            return dataclasses.replace(first, status=Status.non_finite)
         prior = Centred(self.prior, centre)
         restoring = time.perf_counter() - begin
         solution = again(
             prior=prior,
             strength=_STRONGER * strength,
             solver=self.solver,
-            velocity=Known(first.motion),
+            motion=first.motion,
             state=first.state._replace(image=centre, prior=prior.initial_state(centre)),
             **options,
         )
         stages = first.stages + solution.stages
-        earlier = {"first solve": sum(first.stats["seconds"].values()), "restoring": restoring}
-        stats = solution.stats | {
-            "iterations": len(stages),
-            "first_iterations": len(first.stages),
-            "seconds": earlier | solution.stats["seconds"],
-        }
+        seconds = {"first solve": sum(first.diagnostics.seconds.values()), "restoring": restoring}
+        diagnostics = dataclasses.replace(
+            solution.diagnostics,
+            iterations=len(stages),
+            first_iterations=len(first.stages),
+            seconds=seconds | solution.diagnostics.seconds,
+        )
         stages = tuple(dataclasses.replace(stage, number=n) for n, stage in enumerate(stages, 1))
-        return dataclasses.replace(solution, stages=stages, stats=stats)
+        return dataclasses.replace(solution, stages=stages, diagnostics=diagnostics)
 
 
 @eqx.filter_jit
@@ -302,22 +312,22 @@ class Network:
         - `record`: whether the stages are measured by Eq. 4. That takes the motion, the samples and the strength that
           an optimizer would use, and several times as long as the network itself.
 
-        **Returns:** `Solution`. `result` is `converged` if the last stage happens to meet the tolerance of the solvers.
+        **Returns:** `Solution`; its `status` is `stages_done`.
 
         **Raises:** `InputError` if something handed in cannot be used, or the network is for another scale.
         """
-        here = moment(spikes, scale=scale, key=key, white_rate=white_rate)
+        here = reference_clip(spikes, scale=scale, key=key, white_rate=white_rate)
         if record:
-            return self.solve(pose(here), start=start, keep_images=keep_images, progress=progress)
-        if not here.stream.spikes.any():
+            return self.solve(reference_problem(here), start=start, keep_images=keep_images, progress=progress)
+        if not here.clip.spikes.any():
             return _nothing(here)
         begin = time.perf_counter()
         found = self.run(here, start)
-        return _solution(self, found, (), time.perf_counter() - begin)
+        return _solution(here, found, (), time.perf_counter() - begin)
 
     def solve(
         self,
-        posed: Posed,
+        posed: ReferenceProblem,
         *,
         start: Float[Array | np.ndarray, "H W"] | None = None,
         keep_images: bool = False,
@@ -325,29 +335,27 @@ class Network:
     ) -> Solution:
         """The same, measured by the problem that is posed."""
         if not posed.usable:
-            return _nothing(posed.moment)
+            return _nothing(posed.clip)
         if progress is not None:
             progress.start(None, self.name)
         try:
             begin = time.perf_counter()
-            found = self.run(posed.moment, start, posed.motion)
+            found = self.run(posed.clip, start, posed.motion)
             seconds = time.perf_counter() - begin
             stages = stages_of(posed, found, seconds=seconds, keep_images=keep_images)
         finally:
             if progress is not None:
                 progress.finish()
-        solution = _solution(self, found, stages, seconds)
-        solution.stats["strength"] = float(posed.strength)
-        return solution
+        return _solution(posed.clip, found, stages, seconds, float(posed.strength))
 
     def run(
-        self, here: Moment, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
+        self, here: ReferenceClip, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
     ) -> Run:
         """R^(t) and X^(t) of all stages. **Arguments** and **Raises:** as `call`."""
         return run(self.call(here, start, motion))
 
     def call(
-        self, here: Moment, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
+        self, here: ReferenceClip, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
     ) -> Call:
         """How the network is called for this moment; `motion` is for the networks that use one, if it is known.
 
@@ -414,7 +422,7 @@ def _weights(name: str, scale: int) -> Path:
     return CHECKPOINTS / f"{name.replace('-', '_')}_x{scale}.scsr"
 
 
-def _picture(here: Moment, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:
+def _picture(here: ReferenceClip, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:
     """`start` as a picture of this moment. **Raises:** `InputError` if it is none."""
     image = np.asarray(start, np.float32)
     if image.shape != here.shape or not np.isfinite(image).all():
@@ -425,23 +433,31 @@ def _picture(here: Moment, start: Float[Array | np.ndarray, "H W"]) -> Float[Arr
     return jnp.asarray(image)
 
 
-def _nothing(here: Moment) -> Solution:
-    return Solution(np.zeros(here.shape, np.float32), (), Result.no_samples, {"iterations": 0, "samples": 0})
+def _known(here: ReferenceClip) -> dict[str, Any]:
+    """Fields that every `Solution` of this clip has."""
+    known = {"recording": here.recording, "scale": here.scale, "key": here.key}
+    return known | {"white_rate": here.clip.white_rate}
 
 
-def _solution(network: Network, found: Run, stages: tuple[Stage, ...], seconds: float) -> Solution:
+def _nothing(here: ReferenceClip) -> Solution:
+    return Solution(image=np.zeros(here.shape, np.float32), status=Status.no_samples, **_known(here))
+
+
+def _solution(
+    here: ReferenceClip, found: Run, stages: tuple[Stage, ...], seconds: float, strength: float | None = None
+) -> Solution:
     images = np.asarray(found.images)
     finite = [image for image in images if np.isfinite(image).all()]
-    if len(finite) < len(images):
-        result = Result.non_finite
-    else:
-        met = bool(stages) and stages[-1].residual <= FISTA().tolerance
-        result = Result.converged if met else Result.iterations_exhausted
-    stats = {
-        "iterations": len(images),
-        "parameters": parameter_count(eqx.filter(network.net, eqx.is_array)),
-        "seconds": {"network": seconds},
-    }
-    if stages:
-        stats["objective"] = stages[-1].objective
-    return Solution(finite[-1] if finite else np.zeros(images.shape[1:], np.float32), stages, result, stats)
+    diagnostics = Diagnostics(
+        iterations=len(images),
+        strength=strength,
+        objective=stages[-1].objective if stages else None,
+        seconds={"network": seconds},
+    )
+    return Solution(
+        image=np.array(finite[-1]) if finite else np.zeros(images.shape[1:], np.float32),
+        status=Status.stages_done if len(finite) == len(images) else Status.non_finite,
+        stages=stages,
+        diagnostics=diagnostics,
+        **_known(here),
+    )

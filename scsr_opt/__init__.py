@@ -1,6 +1,7 @@
 """Super-resolved pictures from spike camera recordings, by solving the imaging model directly.
 
-`reconstruct` is the door, `sequence` that of many moments; `scsr_opt.camera` reads recordings and simulates them.
+`reconstruct` solves for the picture of one moment, `reconstruct_sequence` for those of many; `assemble` gives the
+problem alone, for a solver or a prior of one's own. `scsr_opt.camera` reads recordings and simulates them.
 """
 
 import lazy_loader

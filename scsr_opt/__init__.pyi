@@ -1,15 +1,24 @@
 from .camera.recording import Recording
-from .errors import InputError
-from .pipeline.reconstruct import reconstruct
-from .pipeline.sequence import sequence
-from .solvers.solution import Result, Solution, Stage
+from .errors import InputError, SolveError
+from .motion.estimators.automatic import estimate_motion
+from .pipeline.options import Options, Shortcuts
+from .pipeline.reconstruct import assemble, reconstruct
+from .pipeline.sequence import reconstruct_sequence
+from .pipeline.solution import Diagnostics, Solution
+from .solvers.record import Stage, Status
 
 __all__ = [
+    "Diagnostics",
     "InputError",
+    "Options",
     "Recording",
-    "Result",
+    "Shortcuts",
     "Solution",
+    "SolveError",
     "Stage",
+    "Status",
+    "assemble",
+    "estimate_motion",
     "reconstruct",
-    "sequence",
+    "reconstruct_sequence",
 ]

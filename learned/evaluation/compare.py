@@ -21,15 +21,23 @@ from numpy.typing import ArrayLike
 
 from learned.evaluation.costs import Cost, cost
 from learned.evaluation.inference import Run, sparing
-from learned.evaluation.reference_problem import PRIOR, Moment, Posed, moment, pose, read
+from learned.evaluation.reference_problem import (
+    PRIOR,
+    ReferenceClip,
+    ReferenceProblem,
+    read,
+    reference_clip,
+    reference_problem,
+)
 from learned.evaluation.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
 from learned.training.validation import psnr, quality
 from learned.zoo import Model, Network, Optimizer, model
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
+from scsr_opt.pipeline.solution import Solution
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.solvers.proximal_gradient import FISTA
-from scsr_opt.solvers.solution import Result, Solution
+from scsr_opt.solvers.record import Status
 
 # The solution that all are held against, and the solver that goes on from a network's picture.
 _CONVERGED = Optimizer("fista-huber", PRIOR, FISTA(iterations=2000, tolerance=1e-6))
@@ -65,7 +73,7 @@ def compare_stages(
 
     **Raises:** `InputError` if something handed in cannot be used, or the recording holds no usable sample.
     """
-    here = moment(spikes, scale=scale, key=key, white_rate=white_rate)
+    here = reference_clip(spikes, scale=scale, key=key, white_rate=white_rate)
     known = None if truth is None else _truth(here, truth)
     chosen = [model(one, here.scale) if isinstance(one, str) else one for one in models]
     if not chosen:
@@ -80,13 +88,13 @@ def compare_stages(
     told = NoProgress() if progress is None else progress
     told.start(2 + len(chosen) + len(networks), "comparing")
     try:
-        posed = pose(here, gain=gain, strength=strength)
+        posed = reference_problem(here, gain=gain, strength=strength)
         if not posed.usable:
-            raise InputError(Result.no_samples.sentence)
+            raise InputError(Status.no_samples.message)
         told.advance(1)
         solution = _CONVERGED.solve(posed)
         # Once more, for the time that it takes without compilation.
-        before = pose(here, gain=gain, strength=strength).seconds if costs else None
+        before = reference_problem(here, gain=gain, strength=strength).seconds if costs else None
         measure = _Measure(posed, jnp.asarray(solution.image), known, before)
         told.advance(1)
         rows, last = [], {}
@@ -106,11 +114,11 @@ def compare_stages(
         recording=here.recording,
         scale=here.scale,
         key=here.key,
-        frames=len(here.stream.spikes),
+        frames=len(here.clip.spikes),
         strength=float(posed.strength),
         reference=solution.image,
         reference_objective=float(read(posed, jnp.asarray(solution.image)).objective),
-        reference_result=solution.result,
+        reference_status=solution.status,
         reference_iterations=len(solution.stages),
         truth=known,
         models=tuple(rows),
@@ -118,7 +126,7 @@ def compare_stages(
     )
 
 
-def _truth(here: Moment, truth: Float[Any, "H W"]) -> Float[np.ndarray, "H W"]:
+def _truth(here: ReferenceClip, truth: Float[Any, "H W"]) -> Float[np.ndarray, "H W"]:
     picture = np.asarray(truth, np.float32)
     if picture.shape != here.shape or not np.isfinite(picture).all():
         raise InputError(
@@ -143,7 +151,7 @@ class _Measure:
     takes, None if costs are not to be measured.
     """
 
-    posed: Posed
+    posed: ReferenceProblem
     reference: Float[Array, "H W"]
     truth: Float[np.ndarray, "H W"] | None
     before: float | None
@@ -157,18 +165,18 @@ class _Measure:
             state = eqx.filter_jit(model.solver.init)(problem, self.posed.first)
             each = cost(model.solver.step, problem, state)
         measured, pictures = self._all(self.posed.first, stages, [_times(each, t) for t in range(1, len(stages) + 1)])
-        return ModelStages(model.name, solution.result, self.before, measured, pictures), solution.image
+        return ModelStages(model.name, solution.status, self.before, measured, pictures), solution.image
 
     def network(
         self, model: Network, start: Float[np.ndarray, "H W"] | None = None, *, costs: bool = True
     ) -> tuple[ModelStages, Float[np.ndarray, "H W"]]:
-        found = model.run(self.posed.moment, start, self.posed.motion)
+        found = model.run(self.posed.clip, start, self.posed.motion)
         stages = [_Stage(*pictures, math.nan) for pictures in zip(found.gradient_steps, found.images, strict=True)]
         spent: list[Cost | None] = [None] * len(stages)
         before = None
         if self.before is not None and costs:
             begin = time.perf_counter()
-            made = model.call(self.posed.moment)
+            made = model.call(self.posed.clip)
             jax.block_until_ready(eqx.filter(made.arguments, eqx.is_array))
             before = time.perf_counter() - begin
             spent = [
@@ -176,8 +184,8 @@ class _Measure:
             ]
         measured, pictures = self._all(found.start, stages, spent)
         image = np.asarray(found.images[-1])
-        result = Result.iterations_exhausted if np.isfinite(image).all() else Result.non_finite
-        return ModelStages(model.name, result, before, measured, pictures), image
+        status = Status.stages_done if np.isfinite(image).all() else Status.non_finite
+        return ModelStages(model.name, status, before, measured, pictures), image
 
     def _all(
         self, start: Float[Array, "H W"], stages: Sequence[_Stage], spent: Sequence[Cost | None]
@@ -214,8 +222,8 @@ class _Measure:
         """PSNR; and of the stages shown the structural similarity, which takes a second for a large picture."""
         if self.truth is None:
             return {"psnr": math.nan, "ssim": math.nan}
-        scale = self.posed.moment.scale
-        border = min(_BORDER, min(self.posed.moment.recording.height, self.posed.moment.recording.width) // 4) * scale
+        scale = self.posed.clip.scale
+        border = min(_BORDER, min(self.posed.clip.recording.height, self.posed.clip.recording.width) // 4) * scale
         if shown:
             return dict(zip(("psnr", "ssim"), quality(self.truth, image, border), strict=True))
         return {"psnr": psnr(self.truth, image, border), "ssim": math.nan}

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
 
-from learned.evaluation.reference_problem import Moment
+from learned.evaluation.reference_problem import ReferenceClip
 from learned.networks.inputs import Inputs, make_inputs
 from learned.networks.spikesr import SpikeSRNet
 from learned.networks.unrolled_ista import UnrolledISTA
@@ -38,7 +38,7 @@ class Call(NamedTuple):
 
 
 def call(
-    net: Any, card: Card, here: Moment, start: Float[Array, "H W"] | None = None, motion: Motion | None = None
+    net: Any, card: Card, here: ReferenceClip, start: Float[Array, "H W"] | None = None, motion: Motion | None = None
 ) -> Call:
     """How `net` is called for this moment.
 
@@ -51,10 +51,10 @@ def call(
     if isinstance(net, SpikeSRNet):
         return _spikesr_call(net, here, start)
     if isinstance(net, UnrolledISTA):
-        inputs = make_inputs(here.stream, scale=here.scale, boundaries=net.config.boundaries, motion=motion)
+        inputs = make_inputs(here.clip, scale=here.scale, boundaries=net.config.boundaries, motion=motion)
         return Call(_unrolled, (net, inputs, start))
     # The encoder looks at neighbours: a bad pixel's spikes must be plausible, though none are measured there.
-    stream = here.stream._replace(spikes=here.seen)
+    stream = here.clip._replace(spikes=here.seen)
     return Call(_unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start))
 
 
@@ -92,9 +92,9 @@ def check_stages(net: Any, card: Card) -> None:
         raise InputError(f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration.")
 
 
-def _spikesr_call(net: SpikeSRNet, here: Moment, start: Float[Array, "H W"] | None) -> Call:
-    rate = jnp.asarray(here.stream.white_rate, jnp.float32)
-    return Call(_spikesr, (net, jnp.asarray(here.seen), jnp.asarray(here.stream.key), rate, start))
+def _spikesr_call(net: SpikeSRNet, here: ReferenceClip, start: Float[Array, "H W"] | None) -> Call:
+    rate = jnp.asarray(here.clip.white_rate, jnp.float32)
+    return Call(_spikesr, (net, jnp.asarray(here.seen), jnp.asarray(here.clip.key), rate, start))
 
 
 @eqx.filter_jit

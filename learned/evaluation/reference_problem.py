@@ -1,6 +1,6 @@
 """Eq. 4 for one recording: what the optimizer finds out before it iterates, so that networks can be measured by it.
 
-Motion, measurements, strength and first picture are those of `reconstruct` (`scsr_opt.pipeline.preparation`). Two
+Motion, measurements, strength and first picture are those of `reconstruct` (`scsr_opt.pipeline.assembly`). Two
 differences: the prior is Huber-TV at every scale, and a sensor's fixed pattern is not looked for. Networks know nothing
 of it, so it stays in what all are compared on, unless the gains are handed in.
 """
@@ -19,14 +19,14 @@ from scipy.ndimage import distance_transform_edt
 
 from scsr_opt._validation import picture_shape, pixel_gain, whole
 from scsr_opt.camera.recording import Recording
-from scsr_opt.motion.estimators.automatic import Estimator
-from scsr_opt.motion.estimators.frames import Stretches
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
-from scsr_opt.pipeline.measurement import Stream, stream_around
-from scsr_opt.pipeline.preparation import FRAMES, prepare
+from scsr_opt.pipeline.assembly import assemble_task
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.options import Options
+from scsr_opt.pipeline.reconstruct import task_of
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem
@@ -35,26 +35,17 @@ PRIOR = HuberTotalVariation()
 """Ψ of the problem that all models are measured by, whatever they were given or have learned."""
 
 
-class Known(Estimator):
-    """A motion that was found before, for whoever asks for an estimator."""
-
-    motion: Motion
-
-    def __call__(self, pictures: Stretches) -> Motion:
-        return self.motion
-
-
 @dataclass(frozen=True)
-class Moment:
+class ReferenceClip:
     """A key frame of a recording and the frames around it, as `reconstruct` cuts them out.
 
-    **Fields:** `recording`; `scale` s; `key`, a frame of the recording; `stream`, the frames that are used.
+    **Fields:** `recording`; `scale` s; `key`, a frame of the recording; `clip`, the frames that are used.
     """
 
     recording: Recording
     scale: int
     key: int
-    stream: Stream
+    clip: Clip
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -63,21 +54,21 @@ class Moment:
 
     @cached_property
     def seen(self) -> Shaped[np.ndarray, "T h w"]:
-        """The spikes of the stream as a network sees them: a bad pixel fires as the nearest good one does."""
-        spikes, bad = self.stream.spikes, self.stream.bad_pixels
+        """The spikes of the clip as a network sees them: a bad pixel fires as the nearest good one does."""
+        spikes, bad = self.clip.spikes, self.clip.bad_pixels
         if bad is None or not bad.any() or bad.all():
             return spikes
         row, column = np.asarray(distance_transform_edt(bad, return_distances=False, return_indices=True))
         return spikes[:, row, column]
 
 
-def moment(
+def reference_clip(
     spikes: ArrayLike | Recording,
     *,
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
     white_rate: SupportsFloat | None = None,
-) -> Moment:
+) -> ReferenceClip:
     """The moment of `spikes`, (T, h, w) of 0 and 1 or a `Recording`, that `reconstruct` would show.
 
     **Raises:** `InputError` if something handed in cannot be used.
@@ -85,22 +76,21 @@ def moment(
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)
-    key, stream = stream_around(recording, key=key, frames=FRAMES, white_rate=white_rate)
-    return Moment(recording, scale, key, stream)
+    return ReferenceClip(recording, scale, Clip.around(recording, key, white_rate=white_rate))
 
 
 @dataclass(frozen=True)
-class Posed:
+class ReferenceProblem:
     """minimise over X of f(X) + λΨ(X) (Eq. 4, halved) for one moment.
 
     **Fields:**
-    - `moment`; `motion` there; `gain` of each pixel, None for 1.
+    - `clip`; `motion` there; `gain` of each pixel, None for 1.
     - `placed`: the measurements at their places; `plain`: f, each exposure with the narrow stencil of its own places.
     - `strength` λ; `prior` Ψ; `first`: X^(0) of the solvers.
     - `seconds`: how long motion, samples and strength took.
     """
 
-    moment: Moment
+    clip: ReferenceClip
     motion: Motion
     gain: Float[np.ndarray, "h w"] | None
     placed: PlacedSamples
@@ -117,8 +107,8 @@ class Posed:
 
     @property
     def usable(self) -> bool:
-        """Whether there is anything to reconstruct from; if not, `reconstruct` ends with `Result.no_samples`."""
-        return bool(self.moment.stream.spikes.any()) and self.weight > 0
+        """Whether there is anything to reconstruct from; if not, `reconstruct` ends with `Status.no_samples`."""
+        return bool(self.clip.clip.spikes.any()) and self.weight > 0
 
     def problem(self, image: Float[Array, "H W"]) -> Problem:
         """The problem with f exact at `image`, its value and its gradient: the motion during exposures is in it.
@@ -130,13 +120,13 @@ class Posed:
         return Problem(data, self.prior, self.strength)
 
 
-def pose(
-    moment: Moment,
+def reference_problem(
+    clip: ReferenceClip,
     *,
     prior: Prior = PRIOR,
     gain: ArrayLike | None = None,
     strength: SupportsFloat | None = None,
-) -> Posed:
+) -> ReferenceProblem:
     """The problem that `reconstruct` would solve for this moment.
 
     **Arguments:** `gain`: (h, w), 1 if not given; `strength`: validated for `prior` if not given.
@@ -145,27 +135,20 @@ def pose(
     """
     begin = time.perf_counter()
     # Never "auto", which would look for them.
-    gains = None if gain is None else pixel_gain(gain, moment.recording.height, moment.recording.width)
-    prepared = prepare(
-        moment.recording,
-        scale=moment.scale,
-        key=moment.key,
-        white_rate=moment.stream.white_rate,
-        gain=gains,
-        prior=prior,
-        strength=strength,
-    )
+    gains = None if gain is None else pixel_gain(gain, clip.recording.height, clip.recording.width)
+    options = Options(white_rate=clip.clip.white_rate, gain=gains, prior=prior, strength=strength)
+    assembly = assemble_task(task_of(clip.recording, clip.scale, clip.key, options))
     # Of an empty recording nothing is known of the noise, and nothing will be solved.
-    λ = prepared.rounds.strength if prepared.usable or strength is not None else 0.0
-    return Posed(
-        moment=moment,
-        motion=prepared.motion,
-        gain=prepared.gains,
-        placed=prepared.taken.placed,
-        plain=accumulate(prepared.taken.placed),
+    λ = assembly.strength if assembly.usable or strength is not None else 0.0
+    return ReferenceProblem(
+        clip=clip,
+        motion=assembly.motion,
+        gain=assembly.gain,
+        placed=assembly.measurements.placed,
+        plain=accumulate(assembly.measurements.placed),
         strength=jnp.asarray(λ, jnp.float32),
         prior=prior,
-        first=prepared.image,
+        first=assembly.image,
         seconds=time.perf_counter() - begin,
     )
 
@@ -185,7 +168,7 @@ class Reading(eqx.Module):
         return self.data + self.prior
 
 
-def read(posed: Posed, image: Float[Array, "H W"]) -> Reading:
+def read(posed: ReferenceProblem, image: Float[Array, "H W"]) -> Reading:
     """f, λΨ and ∇f at a picture, f exact there."""
     return _read(posed.problem(image), image)
 

@@ -20,7 +20,7 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.report.figures import detailed_part
 from scsr_opt.report.files import whole_file
 from scsr_opt.report.summary import plain, versions
-from scsr_opt.solvers.solution import Result
+from scsr_opt.solvers.record import Status
 
 # Stages of a model in the table and the figure, at most.
 SHOWN = 6
@@ -65,12 +65,12 @@ class StageMeasures:
 class ModelStages:
     """One model.
 
-    **Fields:** `name`; `result`, how it ended; `seconds_before` the first stage (motion, samples, strength, inputs;
+    **Fields:** `name`; `status`, how it ended; `seconds_before` the first stage (motion, samples, strength, inputs;
     compiled), None where not measured; `stages`, all; `pictures`: t → (R^(t), X^(t)) of the stages shown.
     """
 
     name: str
-    result: Result
+    status: Status
     seconds_before: float | None
     stages: tuple[StageMeasures, ...]
     pictures: dict[int, tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]
@@ -101,7 +101,7 @@ class Comparison:
     """Models side by side, stage by stage, on one moment of one recording.
 
     **Fields:** `recording`, `scale`, `key`, `frames` (how many were used); `strength` λ; the optimizer's converged
-    solution `reference` X* with its objective, result and iterations; `truth`, where known; `models`; `hybrids`.
+    solution `reference` X* with its objective, status and iterations; `truth`, where known; `models`; `hybrids`.
     """
 
     recording: Recording
@@ -111,7 +111,7 @@ class Comparison:
     strength: float
     reference: Float[np.ndarray, "H W"]
     reference_objective: float
-    reference_result: Result
+    reference_status: Status
     reference_iterations: int
     truth: Float[np.ndarray, "H W"] | None
     models: tuple[ModelStages, ...]
@@ -124,7 +124,7 @@ class Comparison:
             f"{self.recording.name}: {self.frames} frames of {self.recording.width}x{self.recording.height}, key frame "
             f"{self.key} -> {width}x{height} (x{self.scale}), lambda {self.strength:.3g}",
             f"Converged solution: objective {self.reference_objective:.6g} after {self.reference_iterations} "
-            f"iterations ({self.reference_result.name.replace('_', ' ')}).",
+            f"iterations ({self.reference_status.name.replace('_', ' ')}).",
         ]
         for model in self.models:
             before = "" if model.seconds_before is None else f"; {model.seconds_before:.2f} s before the first"
@@ -155,13 +155,13 @@ class Comparison:
             "strength": self.strength,
             "reference": {
                 "objective": self.reference_objective,
-                "result": self.reference_result.name,
+                "result": self.reference_status.name,
                 "iterations": self.reference_iterations,
             },
             "models": [
                 {
                     "name": model.name,
-                    "result": model.result.name,
+                    "result": model.status.name,
                     "seconds_before": model.seconds_before,
                     "shown": list(model.pictures),
                     "stages": [asdict(stage) for stage in model.stages],

@@ -7,17 +7,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from learned.evaluation.inference import Run
-from learned.evaluation.reference_problem import Posed, read
+from learned.evaluation.reference_problem import ReferenceProblem, read
 from scsr_opt.priors.patience import patient
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
-from scsr_opt.solvers.solution import Stage
+from scsr_opt.solvers.record import Stage
 
 # Dual steps of the proximal step that the residual takes, as nothing is known of its dual variable here.
 _PATIENT = 100
 
 
-def stages_of(posed: Posed, found: Run, *, seconds: float, keep_images: bool) -> tuple[Stage, ...]:
+def stages_of(posed: ReferenceProblem, found: Run, *, seconds: float, keep_images: bool) -> tuple[Stage, ...]:
     """A `Stage` of each iterate of a network.
 
     `objective`, `data`, `prior`: at X^(t), the data term exact there. `residual`: ‖X^(t) − G(X^(t))‖ / ‖X^(t)‖, G a

@@ -18,7 +18,9 @@ from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import accumulate
-from scsr_opt.pipeline.measurement import Stream, first_picture, measured
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.initial_image import initial_image
+from scsr_opt.pipeline.measurement import measure
 from scsr_opt.pipeline.strength import noise_of_mean, strength_of_noise
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.solvers.loop import run
@@ -81,9 +83,7 @@ class Inputs(eqx.Module):
         return cls(term, planes[1:], targets[1:], image, step_size, noise)
 
 
-def make_inputs(
-    stream: Stream, *, scale: int, boundaries: tuple[int, ...] = (), motion: Motion | None = None
-) -> Inputs:
+def make_inputs(clip: Clip, *, scale: int, boundaries: tuple[int, ...] = (), motion: Motion | None = None) -> Inputs:
     """The inputs of a recording, as `scsr_opt.reconstruct` would measure it: spike intervals, estimated motion.
 
     Where surfaces move during exposures, c is corrected for that once, at the picture after a few iterations of FISTA
@@ -95,18 +95,16 @@ def make_inputs(
       their exposure; rising. None: one group.
     - `motion`: if it is known; estimated as `reconstruct` does by itself if not given.
     """
-    height, width = stream.spikes.shape[1:]
+    height, width = clip.spikes.shape[1:]
     if motion is None:
-        motion = estimate_motion(
-            stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels
-        )
-    taken = measured(stream, motion, scale=scale, measuring=Intervals())
-    placed, image = taken.placed, first_picture(stream, (scale * height, scale * width))
+        motion = estimate_motion(clip.spikes, key=clip.key, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels)
+    taken = measure(clip, motion, scale=scale, sampling=Intervals())
+    placed, image = taken.placed, initial_image(clip, (scale * height, scale * width))
     term = accumulate(placed)
-    away = jnp.abs(jnp.asarray(taken.padded.start + taken.padded.stop) / 2 - stream.key)
+    away = jnp.abs(jnp.asarray(taken.padded.start + taken.padded.stop) / 2 - clip.key)
     members = members_of(away, boundaries)
     groups = [accumulate(placed, robust=member) for member in members]
-    step_size, noise = 1 / lipschitz_bound(term), noise_of_mean(stream)
+    step_size, noise = 1 / lipschitz_bound(term), noise_of_mean(clip)
     if placed.finest > 1:
         prior = HuberTotalVariation()
         strength = jnp.asarray(strength_of_noise(noise, scale, prior), jnp.float32)

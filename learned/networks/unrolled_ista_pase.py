@@ -24,7 +24,8 @@ from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.sampling import PlacedSamples, Taps, accumulate, place
-from scsr_opt.pipeline.measurement import Stream, first_picture
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.initial_image import initial_image
 from scsr_opt.pipeline.strength import noise_of_mean
 from scsr_opt.solvers.problem import lipschitz_bound
 
@@ -112,7 +113,7 @@ class SpikeInputs(eqx.Module):
 
 
 def make_spike_inputs(
-    stream: Stream, *, scale: int, config: UnrolledPASEConfig, motion: Motion | None = None
+    clip: Clip, *, scale: int, config: UnrolledPASEConfig, motion: Motion | None = None
 ) -> SpikeInputs:
     """The inputs of a recording.
 
@@ -120,39 +121,37 @@ def make_spike_inputs(
 
     **Raises:** `InputError` if the recording is shorter than a block.
     """
-    frames, height, width = stream.spikes.shape
+    frames, height, width = clip.spikes.shape
     sizes = (config.moments, config.length, config.spacing)
-    blocks = spike_blocks(jnp.asarray(stream.spikes, jnp.uint8), stream.key, *sizes)
+    blocks = spike_blocks(jnp.asarray(clip.spikes, jnp.uint8), clip.key, *sizes)
     numbers = jnp.arange(frames, dtype=jnp.float32).reshape(frames, 1, 1)
-    middle = np.asarray(spike_blocks(numbers, stream.key, *sizes).mean(axis=(1, 2, 3)))
+    middle = np.asarray(spike_blocks(numbers, clip.key, *sizes).mean(axis=(1, 2, 3)))
     if motion is None:
-        motion = estimate_motion(
-            stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels
-        )
+        motion = estimate_motion(clip.spikes, key=clip.key, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels)
     moment, row, column = (v.reshape(-1).astype(np.int32) for v in np.indices((config.moments, height, width)))
-    good = np.ones((height, width), bool) if stream.bad_pixels is None else ~stream.bad_pixels
+    good = np.ones((height, width), bool) if clip.bad_pixels is None else ~clip.bad_pixels
     # Weighted as intervals are: a pixel that is seen all the time has Σω = 1.
     weight = good[row, column].astype(np.float32) / np.float32(config.moments)
     time = jnp.asarray(middle[moment])
     samples = Samples(jnp.asarray(row), jnp.asarray(column), time, time, jnp.zeros_like(time), jnp.asarray(weight))
-    path = trajectory_of(motion, key=stream.key, start=0, stop=frames)
+    path = trajectory_of(motion, key=clip.key, start=0, stop=frames)
     shape = (scale * height, scale * width)
     placed = place(samples, path, scale=scale, shape=shape)
     term = accumulate(placed)
-    members = members_of(jnp.abs(time - stream.key), config.boundaries)
+    members = members_of(jnp.abs(time - clip.key), config.boundaries)
     planes = [term.stencil.planes, *(accumulate(placed, robust=member).stencil.planes for member in members)]
     return SpikeInputs(
         blocks,
-        jnp.asarray(stream.white_rate, jnp.float32),
+        jnp.asarray(clip.white_rate, jnp.float32),
         placed.taps.index[0],
         placed.taps.down[0],
         placed.taps.right[0],
         placed.weight,
         jnp.stack(members) if members else jnp.zeros((0, time.size)),
         jnp.stack(planes),
-        first_picture(stream, shape),
+        initial_image(clip, shape),
         1 / lipschitz_bound(term),
-        jnp.asarray(noise_of_mean(stream), jnp.float32),
+        jnp.asarray(noise_of_mean(clip), jnp.float32),
     )
 
 

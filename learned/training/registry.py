@@ -134,7 +134,7 @@ def _unrolled(scale: int, network: Mapping[str, Any]) -> Trainable:
     return _on_inputs(
         scale,
         lambda key: UnrolledISTA(config, key=key),
-        lambda stream: make_inputs(stream, scale=scale, boundaries=config.boundaries),
+        lambda clip: make_inputs(clip, scale=scale, boundaries=config.boundaries),
         lambda arrays: Inputs.of_arrays(arrays, scale),
         {"boundaries": list(config.boundaries)},
     )
@@ -147,7 +147,7 @@ def _unrolled_pase(scale: int, network: Mapping[str, Any]) -> Trainable:
     return _on_inputs(
         scale,
         lambda key: UnrolledPASE(config, key=key),
-        lambda stream: make_spike_inputs(stream, scale=scale, config=config),
+        lambda clip: make_spike_inputs(clip, scale=scale, config=config),
         SpikeInputs.of_arrays,
         {name: getattr(config, name) for name in ("moments", "length", "spacing")}
         | {"boundaries": list(config.boundaries)},
@@ -161,13 +161,13 @@ def _on_inputs(
     of_arrays: Callable[[Any], Any],
     made_of: Mapping[str, Any],
 ) -> Trainable:
-    """A network that takes inputs made by `inputs_of` from a `Stream`, and from their `arrays` again by `of_arrays`."""
+    """A network that takes inputs made by `inputs_of` from a `Clip`, and from their `arrays` again by `of_arrays`."""
     from learned.networks.spikesr import spikesr_loss
     from learned.networks.unrolled_ista import iterate
-    from scsr_opt.pipeline.measurement import Stream
+    from scsr_opt.pipeline.clip import Clip
 
     def inputs(spikes: Any, white_rate: Any) -> Any:
-        return inputs_of(Stream(np.asarray(spikes), len(spikes) // 2, float(white_rate), None))
+        return inputs_of(Clip(np.asarray(spikes), len(spikes) // 2, float(white_rate), None))
 
     def make(example: Example) -> Mapping[str, Any]:
         return inputs(example.spikes, example.white_rate).arrays() | {"truth": example.truth}
@@ -199,7 +199,7 @@ def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
         # By the solver that is named where the network is used (`learned.zoo`).
         given = {"white_rate": float(white_rate), "prior": first_prior(), "solver": FISTA()}
         found = reconstruct(np.asarray(spikes), scale=scale, **given)
-        return found.image, np.float32(found.stats.get("strength", 0.0))  # none where nothing was seen
+        return found.image, np.float32(found.diagnostics.strength)  # none where nothing was seen
 
     def make(example: Example) -> Mapping[str, Any]:
         image, strength = solution(example.spikes, example.white_rate)

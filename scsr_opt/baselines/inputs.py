@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording, checked_white_rate
-from scsr_opt.motion.estimators.automatic import filled
+from scsr_opt.motion.estimators.frames import filled
 
 
 class Part(NamedTuple):

@@ -1,6 +1,5 @@
 """Multi-frame baselines: shift-and-add, and motion-guided super-resolution (MGSR)."""
 
-from collections.abc import Sequence
 from typing import SupportsFloat, SupportsIndex
 
 import equinox as eqx
@@ -19,7 +18,7 @@ from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.motion.estimators.automatic import Dense, estimate_motion
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.trajectory import Motion, trajectory_of
-from scsr_opt.motion.validation import checked, given
+from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators.sampling import place
 from scsr_opt.report.figures import bicubic
 
@@ -33,7 +32,7 @@ def shift_and_add(
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
     white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float] | Estimator | Motion | None = None,
+    motion: Motion | Estimator | None = None,
 ) -> Float[np.ndarray, "H W"]:
     """Every measurement put where it belongs on the fine grid, and averaged there (Elad and Hel-Or, 2001; Farsiu,
     Robinson, Elad and Milanfar, 2004).
@@ -52,19 +51,19 @@ def shift_and_add(
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`: as `tfp_bicubic`. 101 frames around the key frame are used; bad pixels are
       left out.
-    - `velocity`: as that of `reconstruct`: known motion, or an `Estimator`; `Automatic` if not given.
+    - `motion`: a `Motion` or an `Estimator`; `Automatic` if None.
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
     **Raises:** `InputError` if something handed in cannot be used.
     """
     part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
-    motion = _motion(part, velocity)
+    found = _motion(part, motion)
     samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels).padded()
-    path = trajectory_of(motion, key=part.key, start=0, stop=len(part.spikes))
+    path = trajectory_of(found, key=part.key, start=0, stop=len(part.spikes))
     middle = (samples.start + samples.stop) / 2
-    found = path.at(jnp.asarray(samples.row), jnp.asarray(samples.column), jnp.asarray(middle))
-    row, column, seen = (np.asarray(v, np.float64) for v in found)
+    places = path.at(jnp.asarray(samples.row), jnp.asarray(samples.column), jnp.asarray(middle))
+    row, column, seen = (np.asarray(v, np.float64) for v in places)
     weight = np.asarray(samples.weight) * seen
     centre = np.stack([row, column]) * part.scale + (part.scale - 1) / 2
     total, weights = _splat(centre, np.stack([weight * samples.value, weight]), part.shape)
@@ -121,7 +120,7 @@ def mgsr(
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
     white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float] | Estimator | Motion | None = None,
+    motion: Motion | Estimator | None = None,
 ) -> Float[np.ndarray, "H W"]:
     """Motion-guided super-resolution (MGSR), the classical predecessor of the paper's network, as far as it is known
     here: Zhao, Xie, Xiong, Zhang, Yu and Huang, "Super Resolve Dynamic Scene from Continuous Spike Streams", ICCV 2021.
@@ -151,7 +150,7 @@ def mgsr(
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`: as `tfp_bicubic`. 101 frames around the key frame are used; bad pixels are
       left out.
-    - `velocity`: known motion or an `Estimator`, as that of `reconstruct`; `Dense` without acceleration if not given.
+    - `motion`: a `Motion` or an `Estimator`; `Dense` without acceleration if None.
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
@@ -159,8 +158,8 @@ def mgsr(
     """
     part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
     frames = len(part.spikes)
-    motion = _motion(part, Dense(acceleration=False) if velocity is None else velocity)
-    motion = Motion.of_velocity(motion.velocity)  # the assumptions: it keeps its velocity and hides nothing
+    found = _motion(part, Dense(acceleration=False) if motion is None else motion)
+    motion = Motion.of_velocity(found.velocity)  # the assumptions: it keeps its velocity and hides nothing
     samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels)
     strength = _SMOOTHING * (_interval_noise(samples) / frames) ** 0.5 * 2 / part.scale
     path = trajectory_of(motion, key=part.key, start=0, stop=frames)
@@ -173,13 +172,12 @@ def mgsr(
     return solved(placed, bicubic(tfp_picture(part), part.scale), strength)
 
 
-def _motion(part: Part, velocity: ArrayLike | Sequence[float] | Estimator | Motion | None) -> Motion:
-    if velocity is None or isinstance(velocity, Estimator):
-        return estimate_motion(
-            part.spikes, key=part.key, white_rate=part.white_rate, estimator=velocity, bad_pixels=part.bad_pixels
-        )
-    height, width = part.spikes.shape[1:]
-    return checked(velocity, height, width) if isinstance(velocity, Motion) else given(velocity, height, width)
+def _motion(part: Part, motion: Motion | Estimator | None) -> Motion:
+    if isinstance(motion, Motion):
+        return validate_motion(motion, *part.spikes.shape[1:])
+    return estimate_motion(
+        part.spikes, key=part.key, white_rate=part.white_rate, estimator=motion, bad_pixels=part.bad_pixels
+    )
 
 
 def _interval_noise(samples: Samples) -> float:

@@ -5,7 +5,7 @@ from .playback import stp, tfi, tfp
 from .rates import interval_rates
 from .recording import Recording
 from .samples import Samples, spike_intervals, windows
-from .sampling_rules import Intervals, Measuring, Windows
+from .sampling_rules import Intervals, SamplingRule, Windows
 from .scenes import Affine, Box, Ellipse, MovingObject, Scene, Static, Translation, TurningDisc
 from .simulator import Sensor, Simulation, simulate
 from .video import Video
@@ -16,7 +16,7 @@ __all__ = [
     "Box",
     "Ellipse",
     "Intervals",
-    "Measuring",
+    "SamplingRule",
     "MovingObject",
     "Noise",
     "Recording",

@@ -13,7 +13,7 @@ from scsr_opt.camera.samples import ENDS, RUN, Samples, spike_intervals, windows
 from scsr_opt.errors import InputError
 
 
-class Measuring(eqx.Module):
+class SamplingRule(eqx.Module):
     """A way to make intensity samples Y_i with exposures from spikes (Eq. 4; `scsr_opt.camera.samples`)."""
 
     @abc.abstractmethod
@@ -34,7 +34,7 @@ class Measuring(eqx.Module):
         """
 
 
-class Intervals(Measuring):
+class Intervals(SamplingRule):
     """The light between two spikes of a pixel, Y = cθ / n; merged while nothing moves (`spike_intervals`).
 
     **Fields:**
@@ -67,7 +67,7 @@ class Intervals(Measuring):
         )
 
 
-class Windows(Measuring):
+class Windows(SamplingRule):
     """Spikes counted in windows of `length` frames, one after the other, Y = cθ / n (`windows`).
 
     A count is wrong by up to θ, an interval by a frame's light: windows need 4 to 64 times the strength of the prior

@@ -29,8 +29,8 @@ def demo(
 
     check_writable(output / "figure.png")
     outcome = run(output, progress=progress(quiet))
-    if not outcome.solution.result.good:
-        say_failure("No picture was written", outcome.solution.result.sentence)
+    if not outcome.solution.status.usable:
+        say_failure("No picture was written", outcome.solution.status.message)
         return 1
     if not quiet:
         print("\n".join(outcome.lines))

@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from scsr_opt.camera import Recording, Sensor, Simulation, simulate, tfp, write_recording
 from scsr_opt.camera.scenes import Affine
+from scsr_opt.pipeline.solution import Solution
 from scsr_opt.progress import Progress
 from scsr_opt.report import Report, bicubic, figure, whole_file, write_picture
-from scsr_opt.solvers.solution import Solution
 
 SCALE = 4
 FRAMES = 101
@@ -67,7 +67,7 @@ def psnr(truth: Float[np.ndarray, "H W"], image: Float[np.ndarray, "H W"], borde
 def run(folder: Path, *, progress: Progress | None = None) -> Demo:
     """Runs the demo and writes recording.npz, picture.png, truth.png, report.json and figure.png into `folder`.
 
-    Where the solve fails (`solution.result.good` is false) only the recording and the report are written.
+    Where the solve fails (`solution.status.usable` is false) only the recording and the report are written.
 
     **Raises:** `InputError` if a file cannot be written.
     """
@@ -77,18 +77,18 @@ def run(folder: Path, *, progress: Progress | None = None) -> Demo:
     recording = Recording.from_array(simulation.spikes, white_rate=simulation.white_rate, name="demo")
     write_recording(folder / "recording.npz", recording)
     started = time.perf_counter()
-    solution = reconstruct(recording, scale=SCALE, key=KEY, white_rate=recording.white_rate, progress=progress)
+    solution = reconstruct(recording, scale=SCALE, key=KEY, progress=progress)
     seconds = {"solve": time.perf_counter() - started}
-    report = Report.of(recording, solution, scale=SCALE, key=KEY, seconds=seconds)
+    report = Report.of(solution, seconds=seconds)
     report.write(folder / "report.json")
     truth = simulation.truth(float(KEY))
     playback = bicubic(tfp(simulation.spikes, KEY, white_rate=simulation.white_rate), SCALE)
     scores = [psnr(truth, np.asarray(image), 8 * SCALE) for image in (playback, solution.image)]
-    if not solution.result.good:
+    if not solution.status.usable:
         return Demo(simulation, recording, solution, scores[0], scores[1])
     write_picture(folder / "truth.png", truth)
     write_picture(folder / "picture.png", solution.image)
-    drawn = figure(recording, solution, scale=SCALE, key=KEY, truth=truth, title="A simulated recording")
+    drawn = figure(solution, truth=truth, title="A simulated recording")
     with whole_file(folder / "figure.png") as temporary:
         drawn.savefig(temporary)
     lines = [

@@ -67,10 +67,10 @@ def film(
     keys = moments(recording, start, stop, step, about=_PICTURES)
     choices = solving.arguments(recording, scale)
 
-    from scsr_opt import sequence
+    from scsr_opt import reconstruct_sequence
     from scsr_opt.motion import Estimator
 
-    if not isinstance(choices.get("velocity"), Estimator | None):
+    if not isinstance(choices.get("motion"), Estimator | None):
         raise InputError(
             f"--motion {solving.motion} is the velocity at one moment, but a film has many: give auto, none, phase, "
             f"global, dense, ilk or tvl1."
@@ -80,7 +80,7 @@ def film(
 
     begin = time.perf_counter()
     made = _Made(pictures)
-    solutions = sequence(recording, keys, scale=scale, **choices)
+    solutions = reconstruct_sequence(recording, keys, scale=scale, **choices)
     try:
         count = write_film(output, made.images(keys, solutions, progress(quiet)), rate=rate, gamma=gamma)
     except _Failed as failed:
@@ -116,9 +116,9 @@ class _Made:
         meter.start(len(keys), "Solving")
         try:
             for key, solution in zip(keys, solutions, strict=True):
-                if not solution.result.good:
-                    raise _Failed(key, solution.result.sentence)
-                if not solution.stats["carried"]:
+                if not solution.status.usable:
+                    raise _Failed(key, solution.status.message)
+                if not solution.diagnostics.motion_carried:
                     self.anew.append(key)
                 if self.folder is not None:
                     write_picture(self.folder / f"{key:0{len(str(keys[-1]))}d}.tif", solution.image, bits=32)

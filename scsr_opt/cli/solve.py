@@ -11,7 +11,7 @@ from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
 if TYPE_CHECKING:
-    import scsr_opt.camera
+    pass
 
 FIGURE_ENDINGS = (".png", ".pdf", ".svg")
 
@@ -42,7 +42,7 @@ def solve(
         Parameter(help="Also write a figure: playback beside result, motion, convergence (.png, .pdf, .svg)."),
     ] = None,
     explain: Annotated[
-        bool, Parameter(negative="", help="Say what was skipped and why; the figure then shows where.")
+        bool, Parameter(negative="", help="Say what each part of the scene needed; the figure then shows where.")
     ] = False,
     solving: Solving | None = None,
     reading: Reading | None = None,
@@ -71,7 +71,6 @@ def solve(
     choices = solving.arguments(recording, scale)
 
     from scsr_opt import reconstruct
-    from scsr_opt.pipeline.preparation import FRAMES
     from scsr_opt.report.summary import Report
 
     read = time.perf_counter()
@@ -79,28 +78,28 @@ def solve(
         recording,
         scale=scale,
         key=moment,
-        frames=FRAMES if frames is None else frames,
         progress=progress(quiet),
+        **({} if frames is None else {"frames": frames}),
         **choices,
     )
     seconds = {"read": read - started, "solve": time.perf_counter() - read}
-    said = Report.of(recording, solution, scale=scale, key=moment, seconds=seconds)
+    said = Report.of(solution, seconds=seconds)
     if report is not None:
         said.write(report)
-    if not solution.result.good:
+    if not solution.status.usable:
         if explain and not quiet:
             print("\n".join(_explained(solution)))
-        say_failure("No picture was written", solution.result.sentence)
+        say_failure("No picture was written", solution.status.message)
         return 1
-    _write(output, solution, bits=bits, gamma=gamma, scale=scale, key=moment)
+    solution.save(output, bits=bits, gamma=gamma)
     if figure is not None:
-        _draw(figure, recording, solution, scale=scale, key=moment, explain=explain)
+        _draw(figure, solution, explain=explain)
     if not quiet:
         print(
             "\n".join(
                 [
                     *said.lines(),
-                    *_learned(solution.stats),
+                    *_camera_lines(solution.diagnostics),
                     *(_explained(solution) if explain else []),
                     *(str(path) for path in (output, report, figure) if path is not None),
                 ]
@@ -109,36 +108,36 @@ def solve(
     return 0
 
 
-def _learned(stats: dict[str, Any]) -> list[str]:
-    """What the recording told of the camera, where that was asked for."""
+def _camera_lines(found: Any) -> list[str]:
+    """Sentences on the camera, where the recording told something of it."""
     lines = []
-    if "optics_sigma" in stats:
-        lines.append(f"Lens: blurs by a standard deviation of {stats['optics_sigma']:.2g} sensor pixels.")
-    if stats.get("gain_spread", 0) >= 5e-4:  # less is none
-        lines.append(f"Fixed pattern: gains spread by {100 * stats['gain_spread']:.2g} %.")
-    if stats.get("gain_spread_at_rest"):
-        told = 100 * stats["gain_spread_at_rest"]
-        lines.append(f"Fixed pattern: where nothing moves, gains seem to spread by {told:.2g} %.")
+    if found.optics_sigma is not None:
+        lines.append(f"Lens: blurs by a standard deviation of {found.optics_sigma:.2g} sensor pixels.")
+    if (found.gain_spread or 0) >= 5e-4:  # less is none
+        lines.append(f"Fixed pattern: gains spread by {100 * found.gain_spread:.2g} %.")
+    if found.gain_spread_at_rest:
+        percent = 100 * found.gain_spread_at_rest
+        lines.append(f"Fixed pattern: where nothing moves, gains seem to spread by {percent:.2g} %.")
     return lines
 
 
 def _explained(solution: Any) -> list[str]:
-    if solution.plan is None:
-        return ["Nothing was skipped."]
-    parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.stats["seconds"].items())
-    left = [_left(solution.result, stage.residual, solution.stats["positions"]) for stage in solution.stages[-1:]]
-    if solution.stats.get("solver") == "DataProximal":
+    if solution.scene is None:
+        return ["No work was left out."]
+    parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.diagnostics.seconds.items())
+    left = [_left(solution.status, stage.residual, solution.diagnostics.positions) for stage in solution.stages[-1:]]
+    if solution.diagnostics.solver == "DataProximal":
         left.insert(0, "Solver: data-proximal; no pixel's block overlaps another's, so steps along the data are exact.")
-    if solution.active is not None:
-        left.extend(solution.active.lines())
-    return [*solution.plan.lines(), *left, f"Time: {parts}."]
+    if solution.tiles is not None:
+        left.extend(solution.tiles.lines())
+    return [*solution.scene.lines(), *left, f"Time: {parts}."]
 
 
 def _left(result: Any, residual: float, positions: int) -> str:
     """What the last iteration of the whole picture says of the next one."""
-    from scsr_opt.solvers import Result
+    from scsr_opt.solvers import Status
 
-    if result is not Result.converged:
+    if result is not Status.converged:
         return f"The last iteration of the whole picture changed it by {100 * residual:.1g} %."
     # A quadratic stands in for what exposures have seen move (`scsr_opt.pipeline.outer_loop`).
     held = "measurements, exposures corrected as they were last," if positions > 1 else "measurements"
@@ -150,23 +149,13 @@ def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> N
         raise InputError(f"--{option} {path} must end in {' or '.join(endings)}.")
 
 
-def _write(output: Path, solution: Any, *, bits: int | None, gamma: float, scale: int, key: int) -> None:
-    from scsr_opt.report.pictures import write_picture
-
-    extras = {"velocity": solution.velocity, "confidence": solution.confidence, "scale": scale, "key": key}
-    known = {name: value for name, value in extras.items() if value is not None}
-    write_picture(output, solution.image, bits=bits, gamma=gamma, extras=known)
-
-
-def _draw(
-    path: Path, recording: "scsr_opt.camera.Recording", solution: Any, *, scale: int, key: int, explain: bool
-) -> None:
-    from scsr_opt.report.figures import figure, plan_figure
+def _draw(path: Path, solution: Any, *, explain: bool) -> None:
+    from scsr_opt.report.figures import scene_figure
     from scsr_opt.report.files import whole_file
 
-    if explain and solution.plan is not None:
-        drawn = plan_figure(solution, scale=scale, title=recording.name)
-    else:
-        drawn = figure(recording, solution, scale=scale, key=key, title=recording.name)
+    title = solution.recording.name
+    drawn = (
+        scene_figure(solution, title=title) if explain and solution.scene is not None else solution.plot(title=title)
+    )
     with whole_file(path) as temporary:
         drawn.savefig(temporary)

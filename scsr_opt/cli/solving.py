@@ -130,8 +130,10 @@ class Solving:
 
         **Raises:** `InputError` for what does not go together, or with this recording.
         """
+        from scsr_opt import Shortcuts
+
         given = {
-            "velocity": velocity_of(recording, self.motion),
+            "motion": motion_of(recording, self.motion),
             "samples": self._samples(recording),
             "robust": self._robust(),
             "gain": self._gain(recording),
@@ -140,7 +142,7 @@ class Solving:
             "strength": self.strength,
             "solver": self._solver(),
             "refine": self.refine or None,
-            "skip": None if self.skip else False,
+            "shortcuts": None if self.skip else Shortcuts.none(),
         }
         return {name: value for name, value in given.items() if value is not None}
 
@@ -196,9 +198,10 @@ class Solving:
         if self.prior is None and self.bounds is None:
             return None
         from scsr_opt import priors
+        from scsr_opt.pipeline.defaults import default_prior
 
         prior = {
-            None: lambda: priors.default_prior(scale),
+            None: lambda: default_prior(scale),
             "ridge": priors.RidgeRegulariser.load,
             "huber": priors.HuberTotalVariation,
             "tv": priors.TotalVariation,
@@ -242,8 +245,8 @@ class Solving:
         return method() if self.iterations is None else method(iterations=self.iterations)
 
 
-def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
-    """An estimator, or (2, h, w) float32 in sensor pixels per frame; None where `reconstruct` is to choose.
+def motion_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
+    """An estimator or a motion; None where `reconstruct` is to choose.
 
     **Raises:** `InputError` if `motion` is none of what the option allows.
     """
@@ -272,7 +275,7 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
                 f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {shape}, finite, in "
                 f"sensor pixels per frame, of {FASTEST:g} at most either way."
             )
-        return field.astype(np.float32)
+        return known.Motion.of_velocity(field.astype(np.float32))
     down, _, right = motion.partition(",")
     try:
         velocity = np.array([float(down), float(right)])
@@ -286,7 +289,7 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
             f"--motion is {motion}, but DOWN,RIGHT must be two finite numbers of sensor pixels per frame, of "
             f"{FASTEST:g} at most either way."
         )
-    return np.broadcast_to(velocity.astype(np.float32)[:, None, None], shape).copy()
+    return known.Motion.constant(velocity, shape[1:])
 
 
 def load_npy(option: str, path: str) -> "np.ndarray":

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from scsr_opt.motion.estimators.evidence import TOLERATED_AT_REST, at_rest
-from scsr_opt.motion.estimators.frames import Stretches, along, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, along, smooth
 from scsr_opt.motion.inversion import interpolated
 from scsr_opt.motion.stacks import folded
 from scsr_opt.motion.trajectory import Motion, Trust
@@ -35,7 +35,7 @@ _STEADY = 0.5
 _GEOMETRIC = float(np.exp(-np.euler_gamma) / 2)
 
 
-def trusted(pictures: Stretches, motion: Motion) -> Motion:
+def trusted(pictures: MotionFrames, motion: Motion) -> Motion:
     """`motion` with its `trust` measured on the recording's pictures."""
     after = np.asarray(pictures.after)
     if after.size < 3 or not (motion.moves or _something_moves(pictures)):
@@ -54,7 +54,7 @@ def trusted(pictures: Stretches, motion: Motion) -> Motion:
     return Motion(motion.velocity, motion.acceleration, motion.confidence, motion.layers, trust)
 
 
-def _something_moves(pictures: Stretches) -> bool:
+def _something_moves(pictures: MotionFrames) -> bool:
     """Does the recording contradict that nothing moves?"""
     return bool(at_rest(pictures)[0].mean() > TOLERATED_AT_REST)
 

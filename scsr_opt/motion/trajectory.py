@@ -6,7 +6,7 @@ computed once for a few moments, and interpolated between them: at 40,000 frames
 frames.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt.errors import InputError
 from scsr_opt.motion.inversion import (
     ROUNDING,
     affine_field,
@@ -112,6 +113,24 @@ class Motion(eqx.Module):
         if confidence is None:
             confidence = np.ones(velocity.shape[1:], np.float32)
         return cls(velocity, np.zeros_like(velocity), np.asarray(confidence, np.float32))
+
+    @classmethod
+    def constant(cls, velocity: Sequence[float | int] | np.ndarray, shape: tuple[int, int]) -> "Motion":
+        """One velocity for the whole scene.
+
+        **Arguments:** `velocity`: two numbers (down, right), sensor pixels per frame. `shape`: (h, w) of the sensor.
+
+        **Raises:** `InputError` unless there are two finite numbers.
+        """
+        try:
+            pair = np.asarray(velocity, np.float32)
+        except (TypeError, ValueError):
+            pair = np.zeros(0, np.float32)
+        if pair.shape != (2,) or not np.isfinite(pair).all():
+            raise InputError(
+                f"velocity is {velocity!r}; it must be two finite numbers (down, right) in sensor pixels per frame."
+            )
+        return cls.of_velocity(np.broadcast_to(pair[:, None, None], (2, *shape)).copy())
 
     @classmethod
     def none(cls, height: int, width: int) -> "Motion":

@@ -1,9 +1,6 @@
-"""Motion that the user hands in, checked."""
-
-from collections.abc import Sequence
+"""Checks of a motion that a user gives."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
@@ -12,54 +9,23 @@ FASTEST = 1e6
 """Sensor pixels per frame that a velocity may have either way; squares and sums of it are still numbers in float32."""
 
 
-def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) -> Motion:
-    """A velocity handed in by the user: (2, h, w), or two numbers for the whole scene; sensor pixels per frame.
+def validate_motion(motion: Motion, height: int, width: int) -> Motion:
+    """`motion`, if it can be used for a sensor of (h, w).
 
-    **Errors:** `InputError` for another shape, or values that are not finite or above `FASTEST`.
+    **Raises:** `InputError` if a field has another shape than such a sensor asks for, or values that are not finite or
+    a velocity above `FASTEST`, or if a label names no layer.
     """
-    try:
-        array = np.asarray(velocity)
-        if np.iscomplexobj(array):
-            raise TypeError
-        with np.errstate(over="ignore"):
-            field = array.astype(np.float32)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"velocity is {velocity!r}; it must be an array of shape (2, {height}, {width}), two numbers (rows, "
-            "columns) in sensor pixels per frame, or an Estimator."
-        ) from None
-    if field.shape == (2,):
-        field = np.broadcast_to(field[:, None, None], (2, height, width)).copy()
-    if field.shape != (2, height, width):
-        raise InputError(
-            f"velocity has shape {np.shape(velocity)}; it must be (2, {height}, {width}) or two numbers "
-            "(rows, columns), in sensor pixels per frame."
-        )
-    wrong = int(np.count_nonzero(~(np.abs(field) <= FASTEST)))
-    if wrong:
-        raise InputError(
-            f"velocity holds {wrong} values that are not finite, or above {FASTEST:g} sensor pixels per frame; use 0 "
-            f"where it is unknown."
-        )
-    return Motion.of_velocity(field)
-
-
-def checked(motion: Motion, height: int, width: int) -> Motion:
-    """A motion handed in by the user, as it is.
-
-    **Errors:** `InputError` if a field has another shape than a sensor of (h, w) asks for, or values that are not
-    finite, or if a label names no layer.
-    """
-    given(motion.velocity, height, width)
     picture = (height, width)
     wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
-        "acceleration": (motion.acceleration, (2, *picture)), "confidence": (motion.confidence, picture)
-    }  # fmt: skip
+        "velocity": (motion.velocity, (2, *picture)),
+        "acceleration": (motion.acceleration, (2, *picture)),
+        "confidence": (motion.confidence, picture),
+    }
     if motion.layers is not None:
         layers, number = motion.layers, np.size(motion.layers.depth)
         if np.shape(layers.depth) != (number,) or not np.isfinite(layers.depth).all():
             raise InputError(
-                f"velocity.layers.depth is {np.asarray(layers.depth).tolist()}; it must be one number a layer, the "
+                f"motion.layers.depth is {np.asarray(layers.depth).tolist()}; it must be one number a layer, the "
                 f"larger the nearer."
             )
         fields = {"velocity": layers.velocity, "acceleration": layers.acceleration}
@@ -68,22 +34,26 @@ def checked(motion: Motion, height: int, width: int) -> Motion:
     if motion.trust is not None:
         after = np.asarray(motion.trust.after)
         if after.ndim != 1 or after.size < 2 or not np.all(np.isfinite(after)) or not np.all(np.diff(after) > 0):
-            raise InputError("velocity.trust.after must be two or more times in frames, each after the one before.")
+            raise InputError("motion.trust.after must be two or more times in frames, each after the one before.")
         wanted["trust.share"] = (motion.trust.share, (after.size, *picture))
     for name, (field, shape) in wanted.items():
         if np.shape(field) != shape:
-            raise InputError(f"velocity.{name} has shape {np.shape(field)}; for this recording it must be {shape}.")
+            raise InputError(f"motion.{name} has shape {np.shape(field)}; for this recording it must be {shape}.")
         if not np.isfinite(field).all():
-            raise InputError(f"velocity.{name} holds values that are not finite; use 0 where it is unknown.")
+            raise InputError(f"motion.{name} holds values that are not finite; use 0 where it is unknown.")
+    if not (np.abs(motion.velocity) <= FASTEST).all():
+        raise InputError(
+            f"motion.velocity holds values above {FASTEST:g} sensor pixels per frame; use 0 where unknown."
+        )
     if motion.layers is not None and not np.isin(motion.layers.label, np.arange(len(motion.layers.depth))).all():
         raise InputError(
-            f"velocity.layers.label holds other numbers than those of the {len(motion.layers.depth)} layers, from 0."
+            f"motion.layers.label holds other numbers than those of the {len(motion.layers.depth)} layers, from 0."
         )
     if motion.layers is not None:
         own = Motion.of_layers(motion.layers, motion.confidence)
         if not np.allclose(own.velocity, motion.velocity) or not np.allclose(own.acceleration, motion.acceleration):
             raise InputError(
-                "velocity.velocity or velocity.acceleration is not that of the layers which its labels name; make such "
+                "motion.velocity or motion.acceleration is not that of the layers which its labels name; make such "
                 "a motion by Motion.of_layers."
             )
     return motion

@@ -9,7 +9,7 @@ from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.checks import DotTest, SpectralNorm, dot_test, norm_bound, spectral_norm
 from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.downsample import Downsample
-from scsr_opt.operators.exposure import with_exposure
+from scsr_opt.operators.exposure import with_exact_exposure, with_exposure
 from scsr_opt.operators.losses import Huber, Loss, Welsch, robust_factors
 from scsr_opt.operators.observation import Observation
 from scsr_opt.operators.operator import Composition, LinearOperator
@@ -39,5 +39,6 @@ __all__ = [
     "place",
     "robust_factors",
     "spectral_norm",
+    "with_exact_exposure",
     "with_exposure",
 ]

@@ -1,5 +1,7 @@
 """What is left of samples that were accumulated (`scsr_opt.operators.sampling`): a quadratic in B X, by M and c."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -46,7 +48,7 @@ class DataTerm(eqx.Module):
       the same M need not find it; None where not.
     """
 
-    stencil: Stencil
+    stencil: Stencil | Any
     target: Float[Array, "rows columns"]
     energy: Float[Array, ""]
     aperture: Aperture | Downsample

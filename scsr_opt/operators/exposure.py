@@ -1,7 +1,10 @@
-"""The motion during exposures, in the data term: c and e so corrected that it touches the exact one at a picture.
+"""The motion during exposures, in the data term: exact (`with_exact_exposure`), or as a quadratic with the narrow
+stencil M that touches the exact term at one picture and lies on or above it elsewhere (`with_exposure`).
 
-Why that lowers the true objective: `scsr_opt.operators.sampling`, where M and c are summed.
+`scsr_opt.operators.sampling`, where M and c are summed, says why the latter lowers the true objective.
 """
+
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.sampling import Piece, PlacedSamples, read_at
 
 
@@ -33,6 +36,53 @@ def with_exposure(
     """
     # What is compiled returns what changes: all that it returns it copies, M too.
     return eqx.tree_at(lambda term: (term.target, term.energy), term, _corrected(term, placed, image, robust, since))
+
+
+class ExposedStencil(eqx.Module):
+    """M_e = Σ_j ω_j r_j r_jᵀ, each r_j along its whole exposure: the operator that `Stencil` is a narrow bound of.
+
+    M_e u = M u − (M − M_e) u costs a visit of all samples with several positions. It is symmetric, so that its
+    derivative by u is itself; it cannot be differentiated by the samples.
+
+    **Fields:** `narrow`, M; `placed`, the samples.
+    """
+
+    narrow: Stencil
+    placed: PlacedSamples
+
+    @eqx.filter_jit
+    def __call__(self, u: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """M_e u."""
+        return _exposed(u, self)
+
+
+@eqx.filter_custom_vjp
+def _exposed(u: Float[Array, "H W"], stencil: ExposedStencil) -> Float[Array, "H W"]:
+    placed = stencil.placed
+    weight = jnp.where(placed.positions > 1, placed.weight, 0)
+    return stencil.narrow(u) - _excess(placed, weight, u, None)
+
+
+@_exposed.def_fwd
+def _(perturbed: Any, u: Float[Array, "H W"], stencil: ExposedStencil) -> tuple[Float[Array, "H W"], None]:
+    return _exposed(u, stencil), None
+
+
+@_exposed.def_bwd
+def _(
+    residuals: None, cotangent: Float[Array, "H W"], perturbed: Any, u: Float[Array, "H W"], stencil: ExposedStencil
+) -> Float[Array, "H W"]:
+    return _exposed(cotangent, stencil)
+
+
+def with_exact_exposure(term: DataTerm, placed: PlacedSamples) -> DataTerm:
+    """`term`, as `accumulate` made it of these samples, with the motion during their exposures in its value and its
+    gradient: f(X) = ½ Σ_j ω_j (r_j·B X − Y_j)². Where no exposure has more than one position, `term` is exact already.
+    """
+    if placed.finest == 1:
+        return term
+    assert isinstance(term.stencil, Stencil)
+    return eqx.tree_at(lambda t: t.stencil, term, ExposedStencil(term.stencil, placed))
 
 
 @eqx.filter_jit

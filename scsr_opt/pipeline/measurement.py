@@ -1,25 +1,21 @@
 """From spikes and their motion to measurements that have a place on the picture."""
 
-from typing import NamedTuple, SupportsFloat, SupportsIndex
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
-from numpy.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
-from scsr_opt._validation import bad_pixels_of, whole
 from scsr_opt.calibration.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
-from scsr_opt.camera.rates import interval_rates
-from scsr_opt.camera.recording import Recording, checked_white_rate
 from scsr_opt.camera.samples import RUN, Samples, padded_length
-from scsr_opt.camera.sampling_rules import Intervals, Measuring
-from scsr_opt.motion.estimators.automatic import filled
+from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.motion.trajectory import SPACING, Changes, Motion, Trajectory, trajectory_of
 from scsr_opt.operators.losses import Loss, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, place
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.visibility import cut_to_seen
 
 # How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
@@ -46,69 +42,6 @@ _FARTHEST = 1.875
 _FEW_LONG = 1e-4
 # Standard deviation, sensor pixels, over which the light of pixels is averaged to tell their noise.
 _NEIGHBOURS = 1.5
-
-
-class Stream(NamedTuple):
-    """The part of a recording that is used.
-
-    **Fields:**
-    - `spikes`: (T, h, w), 0 and 1; all 0 in bad pixels.
-    - `key`: index of the key frame in `spikes`.
-    - `white_rate`: spikes per frame of a pixel at intensity 1.
-    - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
-    """
-
-    spikes: Shaped[np.ndarray, "T h w"]
-    key: int
-    white_rate: float
-    bad_pixels: Bool[np.ndarray, "h w"] | None
-
-    def part(self, rows: slice, columns: slice) -> "Stream":
-        """The same frames of a part of the sensor."""
-        bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
-        return Stream(self.spikes[:, rows, columns], self.key, self.white_rate, bad)
-
-
-def stream_around(
-    recording: Recording,
-    *,
-    key: SupportsIndex | None,
-    frames: SupportsIndex,
-    white_rate: SupportsFloat | None,
-    bad_pixels: ArrayLike | None = None,
-) -> tuple[int, Stream]:
-    """The key frame, as a frame of the recording, and the frames around it.
-
-    **Arguments:** as of `scsr_opt.reconstruct`; None for the middle frame, for the recording's white rate, and for no
-    bad pixels but its own.
-
-    **Raises:** `InputError` if one of them cannot be used.
-    """
-    key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
-    start, stop = recording.around(key, whole(frames, "frames", 1))
-    rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
-    bad = bad_pixels_of(recording, bad_pixels)
-    if bad is None:
-        return key, Stream(recording.source.view(start, stop), key - start, rate, bad)
-    spikes = recording.window(start, stop)
-    spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
-    return key, Stream(spikes, key - start, rate, bad)
-
-
-def first_picture(stream: Stream, shape: tuple[int, int], *, sharp: bool = False) -> Float[Array, "H W"]:
-    """X^(0): the rate over 21 frames around the key frame, enlarged linearly, as the networks were trained with, or by
-    Lanczos' interpolation if it is to be `sharp`: what lies between sensor pixels is found slowly, and such a start has
-    some of it (docs/measurements.md)."""
-    frames, bad = len(stream.spikes), stream.bad_pixels
-    if frames > 1:
-        edges = np.clip(np.array([stream.key - 10.0, stream.key + 10.0]), 0, frames - 1)
-        rate = interval_rates(stream.spikes, edges, white_rate=stream.white_rate)
-    else:
-        rate = stream.spikes / np.float32(stream.white_rate)
-    picture = jnp.asarray(rate, jnp.float32)
-    if bad is not None and bad.any():
-        picture = filled(picture, ~bad)
-    return jax.image.resize(picture[0], shape, "lanczos3" if sharp else "linear")
 
 
 class Measurements(NamedTuple):
@@ -146,7 +79,7 @@ class Measurements(NamedTuple):
 
     def gain(
         self,
-        stream: Stream,
+        clip: Clip,
         motion: Motion,
         blurred: Float[Array, "H W"],
         *,
@@ -164,17 +97,17 @@ class Measurements(NamedTuple):
             placed = placed.only(jnp.asarray(np.pad(chosen, (0, padded_length(samples.row.size) - chosen.size))))
         used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
-        moved = motion.moved(len(stream.spikes))
-        gains = blind_gain(samples, predicted, moved=moved, white_rate=stream.white_rate, weight=weight)
+        moved = motion.moved(len(clip.spikes))
+        gains = blind_gain(samples, predicted, moved=moved, white_rate=clip.white_rate, weight=weight)
         return gains if at_rest is None else np.where(gain_is_known(moved), gains, at_rest)
 
 
-def measured(
-    stream: Stream,
+def measure(
+    clip: Clip,
     motion: Motion | Trajectory,
     *,
     scale: int,
-    measuring: Measuring,
+    sampling: SamplingRule,
     gain: Float[np.ndarray, "h w"] | None = None,
     merge: bool = True,
     longest: int | None = None,
@@ -183,9 +116,9 @@ def measured(
     """The measurements of a recording, placed along a motion.
 
     **Arguments:**
-    - `motion`: of the key frame, or already followed through the stream (`trajectory_of`).
+    - `motion`: of the key frame, or already followed through the clip (`trajectory_of`).
     - `scale`: s, high-resolution pixels to a sensor pixel.
-    - `measuring`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
+    - `sampling`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
       high-resolution pixel.
     - `gain`: of each pixel; 1 if not given.
     - `merge`: whether intervals are merged where nothing moves, up to `longest` frames if given, and where a pixel is
@@ -194,9 +127,9 @@ def measured(
     - `on_sensor`: whether samples of a scene in which nothing moves at all are placed on the sensor's grid alone
       (`PlacedSamples`).
     """
-    frames, height, width = stream.spikes.shape
+    frames, height, width = clip.spikes.shape
     followed = isinstance(motion, Trajectory)
-    path = motion if followed else trajectory_of(motion, key=stream.key, start=0, stop=frames)
+    path = motion if followed else trajectory_of(motion, key=clip.key, start=0, stop=frames)
     # By all that a pixel sees: what stands still in the key frame may be hidden at other times by what passes.
     speeds, unsteady = path.speeds, path.unsteady
     fastest = speeds.most
@@ -207,20 +140,20 @@ def measured(
             still = _MERGED_MOTION / (scale * fastest)
             steady = _MERGED_CHANGE / unsteady.most
         still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
-    if merge and isinstance(measuring, Intervals):
+    if merge and isinstance(sampling, Intervals):
         most = frames if longest is None else min(longest, frames)
         worthwhile = longest is not None or np.mean(still_for >= _MERGED_LONG) >= _MERGED_SHARE
         merged_for = np.minimum(still_for, most) if worthwhile else merged_for
         run = np.asarray(_runs(path))
-    samples = measuring(
-        stream.spikes, white_rate=stream.white_rate, still_for=merged_for, run=run, bad_pixels=stream.bad_pixels
+    samples = sampling(
+        clip.spikes, white_rate=clip.white_rate, still_for=merged_for, run=run, bad_pixels=clip.bad_pixels
     )  # fmt: skip
     light = samples.weight
-    if isinstance(measuring, Intervals) and measuring.ends > 0:
-        samples = cut_to_seen(samples, path, frames=frames, white_rate=stream.white_rate, ends=measuring.ends)
+    if isinstance(sampling, Intervals) and sampling.ends > 0:
+        samples = cut_to_seen(samples, path, frames=frames, white_rate=clip.white_rate, ends=sampling.ends)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
-    if isinstance(measuring, Intervals) and measuring.noise is not None:
-        weight = measuring.noise.weights(samples, _mean_light(stream))
+    if isinstance(sampling, Intervals) and sampling.noise is not None:
+        weight = sampling.noise.weights(samples, _mean_light(clip))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
     order, positions = _longest_first(samples, speeds, unsteady, each=merge)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
@@ -249,10 +182,10 @@ def _runs(path: Trajectory) -> Int[Array, "blocks h w"]:
     return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN).astype(jnp.int8)
 
 
-def _mean_light(stream: Stream) -> Float[np.ndarray, "h w"]:
+def _mean_light(clip: Clip) -> Float[np.ndarray, "h w"]:
     """Mean intensity over the recording and over neighbouring pixels."""
-    rate = stream.spikes.mean(0, dtype=np.float32) / np.float32(stream.white_rate)
-    good = np.ones_like(rate) if stream.bad_pixels is None else (~stream.bad_pixels).astype(np.float32)
+    rate = clip.spikes.mean(0, dtype=np.float32) / np.float32(clip.white_rate)
+    good = np.ones_like(rate) if clip.bad_pixels is None else (~clip.bad_pixels).astype(np.float32)
     return gaussian_filter(rate, _NEIGHBOURS) / np.maximum(gaussian_filter(good, _NEIGHBOURS), 1e-3)
 
 

@@ -1,11 +1,11 @@
-"""How a reconstruction is solved, where the true data term is not the quadratic that the solvers take.
+"""Majorise-minimise: solves of a quadratic, where the true data term is not the quadratic that the solvers take.
 
-A quadratic is put on or above the true data term that touches it near the picture so far, and solved for
-(majorise–minimise). Two things ask for that:
+A quadratic that lies on or above the true data term, and touches it at the picture so far, is solved for instead. Two
+things ask for that:
 
-- Exposures during which the picture moves (`with_exposure`). Only c and e change then, so that they do on the way,
-  while the solver keeps its momentum.
-- A robust loss (`robust_factors`). M changes too, and each round is a solve of its own.
+- Exposures during which the picture moves (`with_exposure`). They change c and e alone, so that the quadratic is
+  renewed during a solve, and the solver keeps its momentum.
+- A robust loss (`robust_factors`). It changes M too, so that each renewal is followed by a solve of its own.
 """
 
 import functools
@@ -28,42 +28,41 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.loop import Outcome, Solver, run
 from scsr_opt.solvers.problem import Problem
-from scsr_opt.solvers.solution import Stage
+from scsr_opt.solvers.record import Stage
 from scsr_opt.solvers.stopping import relative
-from scsr_opt.solvers.tiles import TILE, by_tile, divides, run_active
+from scsr_opt.solvers.tiles import TILE, by_tile, is_tileable, run_tiles
 
-# A picture is where the quadratic touches the data term if it is less than so many tolerances away: with a step size
-# for each pixel pictures are as good as at 10 with one for all, a correction earlier (docs/measurements.md).
-_NEAR = 30.0
-# And in each tile if it is less than so many: what is far in one place alone is lost in a whole picture
-# (docs/measurements.md).
-_NEAR_IN_TILE = 40.0
-# The share of the rows of tiles, at most, that work is done in apart from the others.
-_FEW_ROWS = 0.5
-# How far beyond a picture it is made to touch, in changes of the picture since the last time: the next iterations lead
-# there. With all of the change pictures as good took half as much again, or did not come to an end
-# (docs/measurements.md).
-_AHEAD = 0.7
-# Rounds of a robust loss after the first solve, at most. What is weighted anew next need not be solved to the end; one
-# that changed the picture by less than so many tolerances is followed by the last one.
-ROUNDS = 10
-_LOOSE, _SETTLED = 5.0, 10.0
+# Exposures are corrected again when the picture has moved from where the quadratic touches by more than this, in
+# tolerances of the solver. With one step size for each pixel pictures are as good as at 10 with one step size for all.
+CORRECTION_DISTANCE_TOLERANCES = 30.0
+# The same for each tile: a tile that is far off is lost in the mean over the picture.
+TILE_CORRECTION_DISTANCE_TOLERANCES = 40.0
+# Corrections are made for the tiles that are far off alone, if these lie in at most this share of the rows of tiles.
+FEW_ROWS_SHARE = 0.5
+# The quadratic is made to touch ahead of the picture, by this share of its change since the last correction: the next
+# iterations lead there. At 1 the solve took half as long again, or did not end.
+CORRECTION_EXTRAPOLATION = 0.7
+# Rounds of a robust loss after the first solve, at most.
+REWEIGHTING_ROUNDS = 10
+# Tolerance of all rounds but the last, and the change of the picture below which the next round is the last one, both
+# in tolerances of the solver.
+REWEIGHTING_LOOSENESS, REWEIGHTING_SETTLED = 5.0, 10.0
 
 
-class Found(NamedTuple):
-    """What the rounds end with: the last solve's outcome, with the stages of all, and B X of its picture."""
+class Majorized(NamedTuple):
+    """Outcome of the last solve, with the stages of all of them, and B X of its picture."""
 
     outcome: Outcome
     blurred: Float[Array, "rows columns"]
 
 
 @dataclass(frozen=True)
-class Rounds:
+class MajorizeMinimize:
     """minimise over X of ½ Σ_j ω_j ρ(r_j·B X − Y_j) + λ Ψ(X), r_j along the exposure, by `solver`.
 
-    **Fields:** `solver`; `prior` Ψ; `strength` λ; `optics`, the lens in B; `robust` ρ, the square if None; `progress`,
-    `keep_images` as of `run`; `skip`: whether tiles that are finished are left alone, where that can be (`run_active`)
-    and not every iteration is to be seen.
+    **Fields:** `solver`; `prior` Ψ; `strength` λ; `optics`, the lens in B; `robust` ρ, the square if None;
+    `keep_images`, `progress` as of `run`; `finished_tiles`: whether tiles that are finished are not iterated further
+    (`run_tiles`), where that is possible and no picture of each iteration is wanted.
     """
 
     solver: Solver
@@ -71,9 +70,9 @@ class Rounds:
     strength: Float[Array, ""]
     optics: LinearOperator | None
     robust: Loss | None
-    progress: Progress | None
-    keep_images: bool
-    skip: bool = False
+    keep_images: bool = False
+    finished_tiles: bool = False
+    progress: Progress | None = None
 
     def __call__(
         self,
@@ -83,9 +82,9 @@ class Rounds:
         *,
         near: Float[Array, "H W"] | None = None,
         term: DataTerm | None = None,
-    ) -> Found:
-        """Solves from the picture `image`, or from one that is known to be `near` the solution, or goes on from the
-        `state` of a solve of something similar. `term`: what `term` makes of `placed`, where that is done.
+    ) -> Majorized:
+        """Solves from the picture `image`, from one that is known to be `near` the solution, or from the `state` of a
+        similar problem. `term`: M, c and e of the samples (`MajorizeMinimize.term`), where they are summed already.
 
         **Raises:** `InputError` for a state that does not fit, or a prior that the solver cannot use.
         """
@@ -99,13 +98,15 @@ class Rounds:
             outcome = self._solved(term, placed, image, state, near)
         else:
             outcome = self._reweighted(term, placed, image, state, near, self.robust)
-        return Found(outcome, _blurred(term, jnp.asarray(outcome.image)))
+        return Majorized(outcome, _blurred(term, jnp.asarray(outcome.image)))
 
     def term(
         self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None, *, sums: DataTerm | None = None
     ) -> DataTerm:
-        """The quadratic that a solve begins with, without corrections; `robust`: factors on the weights; `sums`: M, c
-        and e with these, where they are known."""
+        """M, c and e of the samples, without corrections for exposures, with the bounds that the solver needs.
+
+        `robust`: (n,), factors on the weights. `sums`: M, c and e, where they are summed already.
+        """
         term = accumulate(placed, robust=robust, optics=self.optics) if sums is None else sums
         return self.solver.prepared(Problem(term, self.prior, self.strength)).data
 
@@ -120,17 +121,17 @@ class Rounds:
         robust: Float[Array, " n"] | None = None,
         tolerances: float = 1.0,
     ) -> Outcome:
-        """Solves, with corrections for exposures; `robust`: factors on the weights, which are in `term` already."""
+        """Solves with corrections for exposures; `robust`: factors on the weights, which `term` contains already."""
         tolerance = tolerances * self.solver.tolerance
         problem, exposures = Problem(term, self.prior, self.strength), None
-        by_tiles = not self.keep_images and divides(self.solver, problem)
+        by_tiles = not self.keep_images and is_tileable(self.solver, problem)
         if placed.finest > 1:
-            exposures = _Exposures(problem, placed, robust, tiles=by_tiles, skip=self.skip)
+            exposures = ExposureCorrection(problem, placed, robust, tiles=by_tiles, skip=self.finished_tiles)
             problem = problem if near is None else exposures.touching(near)
-        given: dict[str, Any] = {"similar": state, "correction": exposures, "progress": self.progress}
+        common: dict[str, Any] = {"similar": state, "correction": exposures, "progress": self.progress}
         if by_tiles:
-            return run_active(self.solver, problem, image, **given, tolerance=tolerance, skip=self.skip)
-        return run(self.solver, problem, image, **given, keep_images=self.keep_images, tolerance=tolerance)
+            return run_tiles(self.solver, problem, image, **common, tolerance=tolerance, skip=self.finished_tiles)
+        return run(self.solver, problem, image, **common, keep_images=self.keep_images, tolerance=tolerance)
 
     def _reweighted(
         self,
@@ -141,20 +142,24 @@ class Rounds:
         near: Float[Array, "H W"] | None,
         loss: Loss,
     ) -> Outcome:
-        """Solves by rounds, each with weights from the picture of the one before."""
+        """Solves round by round, each with weights from the picture of the round before."""
         stages: list[Stage] = []
         settled, factors = False, None
-        for following in reversed(range(ROUNDS + (near is None))):
-            last = settled or not following
+        for remaining in reversed(range(REWEIGHTING_ROUNDS + (near is None))):
+            last = settled or remaining == 0
             if near is not None:
                 factors = robust_factors(loss, placed, _blurred(term, near))
                 term = self.term(placed, factors)
-            outcome = self._solved(term, placed, image, state, near, robust=factors, tolerances=1.0 if last else _LOOSE)
+            outcome = self._solved(
+                term, placed, image, state, near, robust=factors, tolerances=1.0 if last else REWEIGHTING_LOOSENESS
+            )
             stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
-            if last or not outcome.result.good:
+            if last or not outcome.status.usable:
                 break
             before, state, near = near, outcome.state, jnp.asarray(outcome.image)
-            settled = before is not None and float(_away(near, before)) <= _SETTLED * self.solver.tolerance
+            settled = (
+                before is not None and float(_distance(near, before)) <= REWEIGHTING_SETTLED * self.solver.tolerance
+            )
         return outcome._replace(stages=tuple(stages))
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
@@ -163,15 +168,17 @@ class Rounds:
         if not isinstance(state, self.solver.state_type) or _layout(kept(state)) != _layout(kept(own)):
             raise InputError(
                 f"state is not one that {type(self.solver).__name__} with {type(self.prior).__name__} can go on from "
-                f"to a picture of {image.shape}; hand in Solution.state of a solution by the same solver and prior, of "
+                f"to a picture of {image.shape}; give Solution.state of a solution by the same solver and prior, of "
                 f"the same size."
             )
 
 
-class _Exposures:
-    """Corrections of c for the motion during exposures: wherever a picture is not near, by the tolerance, to where the
-    quadratic of the `problem` touches the true data term, another quadratic is made to. Of `tiles` each is asked, and
-    if work is to be skipped, it is done in those that are far alone."""
+class ExposureCorrection:
+    """Corrections of c and e for the motion during exposures, called with the picture during a solve: where it is far
+    from where the quadratic of `problem` touches the true data term, a quadratic that touches there takes its place.
+
+    `tiles`: the distance is measured in each tile, too; `skip`: tiles that are near keep their correction.
+    """
 
     def __init__(
         self, problem: Problem, placed: PlacedSamples, robust: Float[Array, " n"] | None, *, tiles: bool, skip: bool
@@ -183,18 +190,21 @@ class _Exposures:
 
     def __call__(self, image: Float[Array, "H W"], tolerance: float) -> Problem | None:
         far = None
-        if self._touched is not None and float(_away(image, self._touched)) <= _NEAR * tolerance:
+        if (
+            self._touched is not None
+            and float(_distance(image, self._touched)) <= CORRECTION_DISTANCE_TOLERANCES * tolerance
+        ):
             if not self._tiles:
                 return None
-            away = np.asarray(_away_in_tiles(image, self._touched, TILE * self._placed.scale))
-            if away.max() <= _NEAR_IN_TILE * tolerance:
+            distance = np.asarray(_distance_in_tiles(image, self._touched, TILE * self._placed.scale))
+            if distance.max() <= TILE_CORRECTION_DISTANCE_TOLERANCES * tolerance:
                 return None
-            # With what would be next.
-            far = away > _NEAR_IN_TILE / 2 * tolerance
-        ahead = image if self._last is None else image + _AHEAD * (image - self._last)
+            # Tiles half as far off would be next.
+            far = distance > TILE_CORRECTION_DISTANCE_TOLERANCES / 2 * tolerance
+        ahead = image if self._last is None else image + CORRECTION_EXTRAPOLATION * (image - self._last)
         self._last = image
-        # Pieces are told apart by rows: where tiles in most of these are far, hardly any would be left out.
-        if far is None or not self._skip or far.any(1).mean() > _FEW_ROWS:
+        # Pieces of samples are chosen by rows: where most rows have a tile that is far off, hardly any is left out.
+        if far is None or not self._skip or far.any(1).mean() > FEW_ROWS_SHARE:
             return self.touching(ahead)
         return self._touching_in(far, ahead)
 
@@ -205,11 +215,11 @@ class _Exposures:
         return self._following(image, with_exposure(self._problem.data, self._placed, image, robust=self._robust))
 
     def _touching_in(self, tiles: Bool[np.ndarray, "rows columns"], image: Float[Array, "H W"]) -> Problem:
-        """The same at `image` in these tiles, and elsewhere where it did."""
+        """The problem with the quadratic that touches at `image` in these tiles, and elsewhere where it did before."""
         assert self._touched is not None
         side = TILE * self._placed.scale
         image = _only_in(tiles, image, self._touched, side)
-        # What is read from there: the blur reaches s − 1 rows on, and a place is read from two rows.
+        # Rows that samples of these tiles are read from: the blur reaches s − 1 rows on, a position reads two rows.
         first, last = self._rows
         row = np.arange(len(tiles))[tiles.any(1), None] * side
         seen = ((first < row + side) & (last > row - self._placed.scale - 1)).any(0)
@@ -228,14 +238,16 @@ class _Exposures:
 
 
 @jax.jit
-def _away(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> Float[Array, ""]:
+def _distance(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> Float[Array, ""]:
     """‖image − other‖ / ‖image‖."""
     return relative(jnp.linalg.norm(image - other), image)
 
 
 @eqx.filter_jit
-def _away_in_tiles(image: Float[Array, "H W"], other: Float[Array, "H W"], side: int) -> Float[Array, "rows columns"]:
-    """The same of each tile."""
+def _distance_in_tiles(
+    image: Float[Array, "H W"], other: Float[Array, "H W"], side: int
+) -> Float[Array, "rows columns"]:
+    """Distance of two pictures in each tile, as `by_tile`."""
     return by_tile(image - other, image, side)
 
 

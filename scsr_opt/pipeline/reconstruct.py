@@ -1,33 +1,37 @@
-"""From spikes to a super-resolved picture: the one function that most users call."""
+"""From spikes to a super-resolved picture: the stages of Eq. 4, one after the other.
 
-from collections.abc import Sequence
+    clip ─► motion ─► gains, lens ─► samples ─► strength λ ─► M, c ─► solve ─► Solution
+            `──────────────── assemble_task ────────────────'        ▲   │
+                                                             updates └───┘
+
+`reconstruct` goes all the way; `assemble` stops before the first iteration and gives the problem to whoever has a
+solver or a prior of their own. `reconstruct_sequence` (`scsr_opt.pipeline.sequence`) does it for many key frames.
+"""
+
+import time
 from dataclasses import replace
-from typing import Any, Literal, SupportsFloat, SupportsIndex
+from typing import Any, SupportsIndex
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
-from scsr_opt.calibration.gain import FIXED_PATTERN, gain_is_known, spread_of
+from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording
-from scsr_opt.camera.sampling_rules import Measuring
 from scsr_opt.camera.saturation import share_saturated, spike_counts
-from scsr_opt.motion.estimators.automatic import Estimator
-from scsr_opt.motion.trajectory import Motion
-from scsr_opt.operators.blur import Blur
-from scsr_opt.operators.losses import Loss
-from scsr_opt.pipeline.motion_refinement import refine as refined
-from scsr_opt.pipeline.preparation import FRAMES, Prepared, prepare
-from scsr_opt.priors.prior import Prior
+from scsr_opt.errors import InputError, SolveError
+from scsr_opt.pipeline.assembly import Assembly, assemble_task
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.options import Options
+from scsr_opt.pipeline.solution import Diagnostics, Solution
+from scsr_opt.pipeline.task import Task
+from scsr_opt.pipeline.updates import GainUpdate, MotionRefinement
 from scsr_opt.progress import Progress
-from scsr_opt.solvers.loop import Solver
-from scsr_opt.solvers.solution import Result, Solution
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.record import Status
 
-# Turns of picture and gain: one gets most, two all.
-_TURNS = 2
-# Pixels, at most, whose gains say whether there is a fixed pattern: their spread is known to 3.5 % of itself (1 / √2n).
-_LOOKED_AT = 400
+UPDATES = (GainUpdate(), MotionRefinement())
+"""What is found anew between two solves, in this order."""
 
 
 def reconstruct(
@@ -35,180 +39,118 @@ def reconstruct(
     *,
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
-    frames: SupportsIndex = FRAMES,
-    white_rate: SupportsFloat | None = None,
-    velocity: ArrayLike | Sequence[float | int] | Estimator | Motion | None = None,
-    bad_pixels: ArrayLike | None = None,
-    samples: Measuring | None = None,
-    gain: ArrayLike | Literal["auto", "blind"] | None = "auto",
-    optics: Blur | Literal["estimate"] | None = None,
-    prior: Prior | None = None,
-    strength: SupportsFloat | None = None,
-    robust: Loss | None = None,
-    solver: Solver | None = None,
-    refine: SupportsIndex = 0,
-    skip: bool = True,
+    options: Options | None = None,
     state: Any = None,
     progress: Progress | None = None,
-    keep_images: bool = False,
+    throw: bool = False,
+    **changes: Any,
 ) -> Solution:
     """The high-resolution picture X of a moment, from all spikes around it (paper, Eq. 4).
 
     **Arguments:**
     - `spikes`: (T, h, w) of 0 and 1, or a `Recording`.
     - `scale`: s ≥ 1, any integer; 1 denoises and sharpens only.
-    - `key`: frame whose picture is wanted, 0 … T−1; the middle one if not given.
-    - `frames`: how many frames around the key frame are used (all, if the recording has fewer).
-    - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording, or 0.6, if not given.
-    - `velocity`: known motion at the key frame, (2, h, w) or two numbers, sensor pixels per frame ([0] down, [1]
-      right); a `Motion`, with its layers; or an `Estimator` (`Still`, `Global`, `Dense`, `Automatic`). Estimated by
-      `Automatic` if not given. Numbers are taken as they are, for straight paths and without edges: what one thing
-      hides of another is not left out, as it is with the layers of a `Motion`.
-    - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
-    - `samples`: what the Y_i are: `Intervals()` if not given, or `Windows(length)` of so many frames.
-    - `gain`: of each pixel, (h, w); None for 1; or "blind" to take it from the recording: where the scene moves by a
-      pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
-      (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
-      chance (`FIXED_PATTERN`). Where it is solved again the motion is estimated anew, as it is over gains handed in: a
-      pattern rests, whatever moves. `Solution.stats` has their standard deviations, `gain_spread` where the scene moves
-      by a pixel and `gain_spread_at_rest` elsewhere.
-    - `optics`: the lens, as a `Blur` of the high-resolution picture; or "estimate" for the Gaussian one that predicts
-      pixels which were held out, at the cost of seven solves (`estimate_gaussian_optics`). Perfect if not given.
-    - `prior`: Ψ; if not given, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
-    - `strength`: λ; if not given, the one that predicts intervals which were held out
-      (`validated_strength`), or, with a robust loss, by their noise. `PlugAndPlay` needs one.
-    - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting. No intervals are merged then.
-    - `solver`: if not given, `FISTA`, or where nothing moves `DataProximal` (`default_solver`). Its limit of iterations
-      holds for the whole solve, corrections of exposures included; with `robust`, for each of up to eleven rounds.
-    - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
-    - `skip`: leave out the work that this scene does not need (`scsr_opt.pipeline.scene_summary`). False does all of
-      it, for comparison: motion of every kind over the whole sensor, every interval as a sample of its own with as many
-      positions along it as any of them needs, gains of all pixels, iterations of the whole picture until its last tile
-      is finished. Where two motions explain a recording about equally well, each way may settle on another (2 of 48
-      recordings).
+    - `key`: frame whose picture is wanted, 0 … T−1; the middle one if None.
+    - `options`, `changes`: how to solve for it (`Options`); `reconstruct(…, strength=0.01)` changes a field of
+      `options`, or of the defaults.
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
-    - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.
+    - `progress`: is told of the iterations.
+    - `throw`: raise `SolveError` where the solve fails. By default the failure is in `Solution.status`.
 
-    **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity 1 = white. `.stats["saturated"]` is the share of
-    the pixels that fired in 90 % of the frames or more: where they lie the picture is a lower bound.
+    **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity, 1 = white.
 
-    **Raises:** `InputError` if something handed in cannot be used. A solve that fails is not raised, but said by
-    `Solution.result`.
+    **Raises:** `InputError` if an argument cannot be used.
     """
-    prepared = prepare(
-        spikes,
-        scale=scale,
-        key=key,
-        frames=frames,
-        white_rate=white_rate,
-        velocity=velocity,
-        bad_pixels=bad_pixels,
-        samples=samples,
-        gain=gain,
-        optics=optics,
-        prior=prior,
-        strength=strength,
-        robust=robust,
-        solver=solver,
-        refine=refine,
-        skip=skip,
-        progress=progress,
-        keep_images=keep_images,
+    task = task_of(spikes, scale, key, Options.of(options, changes))
+    solution = solve(assemble_task(task), state, progress)
+    if throw and not solution.status.usable:
+        raise SolveError(solution.status.message)
+    return solution
+
+
+def assemble(
+    spikes: ArrayLike | Recording,
+    *,
+    scale: SupportsIndex,
+    key: SupportsIndex | None = None,
+    options: Options | None = None,
+    **changes: Any,
+) -> Problem:
+    """Eq. 4 for a moment, up to the first iteration: for a solver or a prior of one's own, or `jax.grad`.
+
+    Arguments and errors are those of `reconstruct`. The motion during exposures is part of the problem: `data.value`
+    and `data.gradient` are exact, so every solver ends at the picture of `reconstruct` (without gain and refinement
+    rounds, which solve again). A robust loss is no quadratic, and is refused.
+
+    **Returns:** `Problem` with `data` f, `prior` Ψ, `strength` λ and `start` X^(0), (s·h, s·w).
+    """
+    task = task_of(spikes, scale, key, Options.of(options, changes))
+    if task.options.robust is not None:
+        raise InputError("assemble was given a robust loss; it gives the problem with squares: leave robust out.")
+    assembly = assemble_task(task)
+    if not assembly.usable:
+        raise InputError(f"There is no problem to assemble. {Status.no_samples.message}")
+    return assembly.problem()
+
+
+def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIndex | None, options: Options) -> Task:
+    """The clip around a key frame with its validated options. **Raises:** `InputError` for what cannot be used."""
+    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
+    scale = whole(scale, "scale", 1)
+    picture_shape(recording, scale)  # refuses pictures that do not fit into memory
+    options = options.validated(recording, scale)
+    clip = Clip.around(
+        recording, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels
     )
-    return solve(prepared, state)
+    return Task(recording, scale, options, clip)
 
 
-def solve(prepared: Prepared, state: Any = None) -> Solution:
-    """All of `reconstruct` from the first iteration on; `state` as there."""
-    asked, clock, learned = prepared.asked, prepared.clock, prepared.learned
-    stream, image, robust = asked.stream, prepared.image, prepared.rounds.robust
-    if not prepared.usable:
-        stats = {"iterations": 0, "samples": 0, **_planned(prepared), "seconds": clock.laps}
-        nothing = np.zeros(image.shape, np.float32)
-        return Solution(nothing, (), Result.no_samples, stats, prepared.motion, plan=prepared.plan)
-    clock.resume()
-    found = prepared.rounds(prepared.taken.placed, image, state, near=prepared.near, term=prepared.term)
-    stages = found.outcome.stages
-    motion, measured_as = prepared.motion, prepared.taken
-    known = gain_is_known(motion.moved(len(stream.spikes)))
-    turns = _TURNS if asked.gain is not None and known.any() else 0
-    if turns and asked.gain == "auto" and found.outcome.result.good:
-        # Some of the pixels, and all where those show a pattern.
-        for pixels in [_some(known), known] if asked.skip else [known]:
-            looked = measured_as.gain(stream, motion, found.blurred, robust=robust, of=pixels)
-            learned["gain_spread"] = spread_of(looked, pixels)
-            if learned["gain_spread"] < FIXED_PATTERN:
-                turns = 0
+def solve(assembly: Assembly, state: Any = None, progress: Progress | None = None) -> Solution:
+    """All of `reconstruct` from the first iteration on: solve, then update and solve again."""
+    if not assembly.usable:
+        nothing = np.zeros(assembly.image.shape, np.float32)
+        return _solution(assembly, image=nothing, status=Status.no_samples, diagnostics=assembly.diagnostics)
+    began = time.perf_counter()
+    assembly = replace(assembly, method=replace(assembly.method, progress=progress))
+    found = assembly.solve(state)
+    stages = list(found.outcome.stages)
+    for update in UPDATES:
+        for number in range(update.rounds(assembly)):
+            if not found.outcome.status.usable:
                 break
-    for turn in range(turns):
-        if not found.outcome.result.good:
-            break
-        gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=prepared.resting)
-        learned["gain_spread"] = spread_of(gains, known)
-        if asked.estimator is not None:  # a pattern, which rests, had been among what moves
-            motion = asked.estimated(asked.compared(gains))
-            measured_as = asked.measured(motion, None)
-            known = gain_is_known(motion.moved(len(stream.spikes)))
-            gains = measured_as.gain(stream, motion, found.blurred, robust=robust, at_rest=prepared.resting)
-            prepared = replace(prepared, motion=motion, plan=asked.plan(motion, measured_as, prepared.noise))
-        taken = measured_as.with_gain(gains, known, prepared.noise)
-        prepared = replace(prepared, taken=taken, gains=gains)
-        term = None
-        if asked.validates and turn == 0:  # a fixed pattern asked for more
-            λ, _, sums = prepared.validated()
-            prepared = replace(prepared, rounds=replace(prepared.rounds, strength=jnp.asarray(λ, jnp.float32)))
-            term = prepared.rounds.term(taken.placed, sums=sums)
-        found = prepared.rounds(taken.placed, image, found.outcome.state, term=term)
-        stages += found.outcome.stages
-    for _ in range(asked.refine):
-        if not found.outcome.result.good:
-            break
-        better = refined(motion, found.blurred, prepared.taken.padded, prepared.taken.placed, key=stream.key)
-        motion = replace(better, trust=motion.trust)  # no more than what it was refined from
-        taken = asked.measured(motion, None if asked.gain is not None else prepared.gains)
-        if asked.gain is not None and prepared.gains is not None:
-            taken = taken.with_gain(prepared.gains, known, prepared.noise)
-        prepared = replace(prepared, motion=motion, taken=taken, plan=asked.plan(motion, taken, prepared.noise))
-        found = prepared.rounds(taken.placed, image, found.outcome.state)
-        stages += found.outcome.stages
-    clock.lap("solving")
-    outcome, placed = found.outcome, prepared.taken.placed
-    stats = {
-        "iterations": len(stages),
-        "solver": type(prepared.rounds.solver).__name__,
-        "samples": int(jnp.count_nonzero(placed.weight)),
-        "positions": placed.finest,
-        "strength": float(prepared.rounds.strength),
-        "objective": stages[-1].objective,
-        "speed_max": float(motion.speed.max()),
-        "saturated": share_saturated(spike_counts(stream.spikes), len(stream.spikes), stream.bad_pixels),
-        **learned,
-        **_planned(prepared),
-        **({} if outcome.active is None else {"active": outcome.active.numbers}),
-        "seconds": clock.laps,
-    }
-    stages = tuple(replace(stage, number=n) for n, stage in enumerate(stages, 1))
-    return Solution(
+            assembly, changed = update(assembly, found, number)
+            if not changed:
+                break
+            found = assembly.solve(found.outcome.state)
+            stages += found.outcome.stages
+    outcome, placed, clip = found.outcome, assembly.measurements.placed, assembly.task.clip
+    diagnostics: Diagnostics = replace(
+        assembly.diagnostics,
+        iterations=len(stages),
+        solver=type(assembly.method.solver).__name__,
+        samples=int(jnp.count_nonzero(placed.weight)),
+        positions=placed.finest,
+        strength=assembly.strength,
+        objective=stages[-1].objective,
+        speed_max=float(assembly.motion.speed.max()),
+        saturated=share_saturated(spike_counts(clip.spikes), len(clip.spikes), clip.bad_pixels),
+        seconds={**assembly.diagnostics.seconds, "solving": time.perf_counter() - began},
+    )
+    numbered = tuple(replace(stage, number=number) for number, stage in enumerate(stages, 1))
+    return _solution(
+        assembly,
         image=outcome.image,
-        stages=stages,
-        result=outcome.result,
-        stats=stats,
-        motion=motion,
+        status=outcome.status,
+        stages=numbered,
+        diagnostics=diagnostics,
+        tiles=outcome.tiles,
         state=outcome.state,
-        plan=prepared.plan,
-        gain=prepared.gains,
-        active=outcome.active,
     )
 
 
-def _some(pixels: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Some of these pixels, by chance, the same each time: a pattern that repeats would be missed by every so many."""
-    chosen = np.random.default_rng(0).permutation(np.flatnonzero(pixels))[:_LOOKED_AT]
-    some = np.zeros(pixels.shape, bool)
-    some.reshape(-1)[chosen] = True
-    return some
-
-
-def _planned(prepared: Prepared) -> dict[str, Any]:
-    return {} if prepared.plan is None else {"plan": prepared.plan.numbers}
+def _solution(assembly: Assembly, **found: Any) -> Solution:
+    task = assembly.task
+    known = {"recording": task.recording, "scale": task.scale, "key": task.clip.key_frame}
+    known |= {"white_rate": task.clip.white_rate, "motion": assembly.motion, "scene": assembly.scene}
+    return Solution(**known, gain=assembly.gain, **found)

@@ -1,38 +1,15 @@
-"""What a scene doesn't need: which parts of a recording ask for how much work, and what that saved.
+"""What each part of a scene needed: a summary for people, made from motion and samples.
 
-A still wall beside a moving car must not cost as much as the car. So nothing is done twice that once is enough for:
+It decides nothing; `Shortcuts` says what work may be left out, and the stages say where. Each tile of the sensor gets
+one `TileKind` by these tests of its spikes:
 
-- **Motion.** Nothing is estimated where the recording does not contradict rest, one motion where it does not contradict
-  that, and what moves apart is looked for around the pixels that contradict the background (`Automatic`). Fits to
-  what moves apart begin with a quarter of their points.
-- **Measurements.** The intervals of a pixel are merged for as long as what it sees moves by less than ¼ high-resolution
-  pixel and its weight by less than ¼: a pixel at rest gives one, with its ends, however long the recording; so are runs
-  of intervals of one frame, as far as the positions along an exposure lie close enough and nothing is being hidden.
-  What is hidden or has left the picture gives none. An exposure has as many positions as what it sees moves.
-- **The grid.** Where nothing moves at all, samples lie on the sensor's grid, and the blurred picture is not computed in
-  between. Seen through a perfect lens, a sensor pixel then says something of its own block of the picture alone: the
-  step along the data is exact, and what is left is a cheap one along the prior (`DataProximal`).
-- **The iteration.** Elsewhere, and with a prior that couples near pixels only, tiles that are finished are left alone
-  and the others gone on with, until an iteration of the whole picture says that no tile is above its limit
-  (`scsr_opt.solvers.tiles`). So are corrections for exposures made where the picture has moved on.
-- **The strength.** Where nothing moves at all, what is held out to find λ, and what is kept, are sums over each pixel's
-  intervals, which are not made one by one.
-- **Gains.** Windows of a large sensor, and some of the pixels, say whether there is a fixed pattern; all of them are
-  looked at only where there is.
-
-`Plan` says of each tile of the sensor which of these apply, and why. What the spikes have to say is asked by tests:
-
-- *Something moves* by score tests of rest, of each pixel's surroundings (`scsr_opt.motion.estimators.evidence`) and of
-  the whole scene (`moves_as_one`, p < 10⁻⁴); that all of it moves in one way by the same tests of that motion.
-- *Dark, saturated, uniform* by the numbers of spikes in a tile, each with a false-alarm rate of 0.1 %.
-- *Fast* is what the motion and its visibility say, without a test of its own.
-
-How often they are wrong on simulated recordings, above all plain ones that fire in a simple rhythm, is measured by
-`benchmarks.false_alarms` (docs/measurements.md).
+- *Moving or at rest*: by how long what a pixel sees hardly moves (`measure`), which follows from the motion.
+- *Dark, saturated, uniform*: by the numbers of spikes in the tile, each with a false-alarm rate of 0.1 %.
+- *Fast*: by the share of the samples whose place in the key frame is known and in view.
 """
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,8 +32,8 @@ _USED = 0.5
 _FALSE_ALARM = 1e-3
 
 
-class Kind(enum.IntEnum):
-    """What a tile asks for. Where several apply, the first of `SATURATED`, `DARK`, `FAST` counts before the others."""
+class TileKind(enum.IntEnum):
+    """Kind of a tile. Where several apply, the first of `SATURATED`, `DARK`, `FAST` counts before the others."""
 
     STATIC = 0
     UNIFORM = 1
@@ -70,22 +47,22 @@ class Kind(enum.IntEnum):
 _AT_REST = "nothing moves: no motion, and a pixel's intervals are merged into one"
 _APART = "nothing moves: no motion, but nothing is merged: it gains little here, or each measurement is to be judged"
 _REASONS = {
-    Kind.STATIC: _AT_REST,
-    Kind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
-    Kind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while it "
-    "hardly moves, or in runs where it fires in every frame",
-    Kind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
-    Kind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
-    Kind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
+    TileKind.STATIC: _AT_REST,
+    TileKind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
+    TileKind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while "
+    "it hardly moves, or in runs where it fires in every frame",
+    TileKind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
+    TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
+    TileKind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
 }
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What each tile of the sensor asks for.
+class SceneSummary:
+    """Kinds of the tiles of the sensor, and how many samples were used.
 
     **Fields:**
-    - `kind`: (rows, columns) of `Kind`, tiles of `tile` × `tile` sensor pixels (the last ones may be smaller).
+    - `kind`: (rows, columns) of `TileKind`, tiles of `tile` × `tile` sensor pixels (the last ones may be smaller).
     - `merged_for`: (rows, columns), frames over which a pixel's intervals are merged, the least in the tile.
     - `used`: (rows, columns), the share of the light whose place in the key frame is known and in view.
     - `scene`: the motion of the whole: "at rest", "one motion", "layers" or "a motion for each pixel".
@@ -100,34 +77,38 @@ class Plan:
     samples: int
     tile: int = TILE
 
-    def share(self, kind: Kind) -> float:
+    def unmerged(self) -> "SceneSummary":
+        """The summary where no samples could be merged: all of them are used."""
+        return replace(self, intervals=self.samples)
+
+    def share(self, kind: TileKind) -> float:
         """The share of the tiles that are of a kind."""
         return float(np.mean(self.kind == kind))
 
-    def reason(self, kind: Kind) -> str:
-        """What is done in tiles of a kind, in words."""
+    def reason(self, kind: TileKind) -> str:
+        """How tiles of a kind are handled, in words."""
         merged = bool((self.merged_for[self.kind == kind] > 1).any())
-        return _APART if kind is Kind.STATIC and not merged else _REASONS[kind]
+        return _APART if kind is TileKind.STATIC and not merged else _REASONS[kind]
 
     @property
     def numbers(self) -> dict[str, Any]:
         """For a report: shares of the tiles by kind, and how many measurements there are instead of how many."""
-        shares = {kind.name.lower(): round(self.share(kind), 4) for kind in Kind}
+        shares = {kind.name.lower(): round(self.share(kind), 4) for kind in TileKind}
         return {"scene": self.scene, "tiles": shares, "intervals": self.intervals, "samples": self.samples}
 
     def lines(self) -> list[str]:
-        """What was skipped and why, for people."""
+        """Sentences for people: the scene, its samples, and how each kind of tile was handled."""
         saved = 100 * max(1 - self.samples / max(self.intervals, 1), 0)
         instead = f" instead of {self.intervals:,} ({saved:.0f} % fewer)" if self.samples != self.intervals else ""
         text = [f"Scene: {self.scene}.", f"Measurements: {self.samples:,}{instead}."]
-        for kind in sorted(Kind, key=self.share, reverse=True):
+        for kind in sorted(TileKind, key=self.share, reverse=True):
             share = 100 * self.share(kind)
             if share > 0:
                 text.append(f"{f'{share:.0f}' if share >= 1 else 'under 1'} % of the tiles: {self.reason(kind)}.")
         return text
 
 
-def plan_of(
+def summarise_scene(
     spikes: Shaped[np.ndarray, "T h w"],
     motion: Motion,
     still_for: Int[np.ndarray, "h w"],
@@ -138,8 +119,8 @@ def plan_of(
     used: Float[np.ndarray, " n"],
     noise: float,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
-) -> Plan:
-    """The plan that a recording was measured by.
+) -> SceneSummary:
+    """Summary of a clip, its motion and its samples.
 
     A tile is uniform if the numbers of spikes of its pixels differ no more than their noise makes them (χ² over the
     tile's pixels, with a false-alarm rate of 0.1 %), and dark or saturated if their mean is below or above the limit by
@@ -174,16 +155,16 @@ def plan_of(
         return _tiles(summed.astype(np.float32), np.add)
 
     share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
-    kind = np.full(mean.shape, int(Kind.MOVING))
+    kind = np.full(mean.shape, int(TileKind.MOVING))
     rests = _tiles((still & good).astype(np.float32), np.add) >= _STILL * pixels
     rests &= _tiles(as_little, np.minimum) > 0
-    kind[rests] = Kind.STATIC
-    kind[rests & flat] = Kind.UNIFORM
-    kind[share < _USED] = Kind.FAST
-    kind[(mean + doubt) * frames < DARK] = Kind.DARK
+    kind[rests] = TileKind.STATIC
+    kind[rests & flat] = TileKind.UNIFORM
+    kind[share < _USED] = TileKind.FAST
+    kind[(mean + doubt) * frames < DARK] = TileKind.DARK
     # One spike is of the charge that was there before the first frame.
-    kind[mean - doubt - 1 / frames >= SATURATED] = Kind.SATURATED
-    return Plan(
+    kind[mean - doubt - 1 / frames >= SATURATED] = TileKind.SATURATED
+    return SceneSummary(
         kind=kind,
         merged_for=_tiles(merged_for.astype(np.float32), np.minimum).astype(np.int32),
         used=share.astype(np.float32),

@@ -1,10 +1,10 @@
-"""Pictures of several moments of one recording, each starting from what is known of the one before.
+"""Pictures of several key frames of one recording, each starting from what is known of the one before.
 
 From one key frame to the next little changes: what moves goes on moving, what rests has been solved for. So the motion
 of the last picture is carried on along its own trajectories; only which of its layers is seen where is looked at anew.
 It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
 then, and the gains are found, and both are carried on with it. The picture and the prior's dual variables are moved
-along, and the solve goes on from there; from playback where hardly anything was seen.
+along, and the solve starts from there, or from playback where hardly anything was seen.
 """
 
 from collections.abc import Generator, Iterable
@@ -20,157 +20,167 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from scsr_opt._validation import pixel_gain, whole
+from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.motion.estimators.automatic import comparable
-from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.evidence import contradicted
-from scsr_opt.motion.estimators.frames import Stretches
+from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.estimators.layered import relabelled
 from scsr_opt.motion.propagation import carry, moved_along
 from scsr_opt.motion.reliability import trusted
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import PlacedSamples
-from scsr_opt.pipeline.measurement import stream_around
-from scsr_opt.pipeline.preparation import FRAMES, Prepared, prepare
-from scsr_opt.pipeline.reconstruct import solve
-from scsr_opt.solvers.solution import Solution
+from scsr_opt.pipeline.assembly import Assembly, assemble_task
+from scsr_opt.pipeline.options import Options
+from scsr_opt.pipeline.reconstruct import solve, task_of
+from scsr_opt.pipeline.solution import Solution
+from scsr_opt.pipeline.task import Task
+from scsr_opt.progress import Progress
 
-# A motion is carried on for so many frames at most: as long as some of those it was estimated from are used. On a
+# Frames over which a motion is carried on at most: as long as some of the frames it was estimated from are used. On a
 # recording of a car passing, moving pixels that were held out were predicted as well as by a motion estimated anew
-# after 5, 20, 40, 60, 80 and 100 frames (docs/measurements.md).
-_OLDEST = 100
-# And as long as no more pixels contradict it than did when it was estimated, times this, and this share of all: on that
-# recording 6, 8, 16, 19, 21, 23 and 25 % did after 0, 5, 20, 40, 60, 75 and 95 frames, 4.1 times as many at last; a
-# turning disc lost 0.3 dB up to 1.6 times, and 0.5 at 4.5.
-_MORE, _SHARE = 4.2, 0.005
-# Going on from the picture before, a residual of so many tolerances is met nearer to the minimum than one from scratch:
-# 2 instead of 1.5 added up to 0.002 % to what pictures of a car are above it, 3 up to 0.006 % (docs/measurements.md).
-_NEARER = 2.0
-# Where less than this share of the usual weight saw the scene, a picture begins at playback: what has come into view
-# was not in the one before, whose border would be there instead, and go slowly, as only the prior decides.
-_SEEN = 0.1
-# After the last of the items.
+# after 5, 20, 40, 60, 80 and 100 frames.
+OLDEST_MOTION_FRAMES = 100
+# A motion is estimated anew where more pixels contradict it than did when it was estimated, times this factor, and this
+# share of all. On that recording 6, 8, 16, 19, 21, 23 and 25 % did after 0, 5, 20, 40, 60, 75 and 95 frames; a turning
+# disc lost 0.3 dB up to a factor of 1.6, and 0.5 at 4.5.
+CONTRADICTED_FACTOR, CONTRADICTED_SHARE = 4.2, 0.005
+# Tolerance of a solve that starts from the picture before, in the solver's own: from there a residual is met nearer to
+# the minimum. 2 instead of 1.5 added up to 0.002 % to the objective of pictures of a car, 3 up to 0.006 %.
+WARM_TOLERANCE_FACTOR = 2.0
+# Where less than this share of the mean weight saw the scene, a picture starts from playback: what has come into view
+# was not in the picture before, whose border would be there instead, and go slowly, as only the prior decides.
+SEEN_SHARE = 0.1
+# Marks the end of the items of a generator.
 _END: Any = object()
 Item = TypeVar("Item")
 
 
-def sequence(
-    spikes: ArrayLike | Recording, keys: Iterable[SupportsIndex], *, scale: SupportsIndex, **options: Any
+def reconstruct_sequence(
+    spikes: ArrayLike | Recording,
+    keys: Iterable[SupportsIndex],
+    *,
+    scale: SupportsIndex,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
 ) -> Generator[Solution, None, None]:
-    """The pictures X of the moments `keys`, one after the other: Eq. 4 of the paper for each (`reconstruct`).
+    """The pictures X of the key frames `keys`, one after the other: Eq. 4 of the paper for each (`reconstruct`).
 
-    Made as they are asked for, and the faster the less happens between them. While a picture is solved for, or used,
-    the next one is measured, and the motion of the one after that is carried on.
+    Pictures are made as they are asked for, and the faster the less happens between them. While a picture is solved
+    for, or used, the next one is measured, and the motion of the one after that is carried on.
 
     **Arguments:**
-    - `spikes`, `scale`, `options`: as of `reconstruct`; without `key` and `state`, and `velocity` None or an
+    - `spikes`, `scale`, `options`, `changes`, `progress`: as of `reconstruct`; `motion` must be None or an
       `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
     - `keys`: frames, best in order and a few frames apart.
 
-    **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity 1 = white. Where
-    `.stats["carried"]` is true, `.motion` is that of a picture before, carried on: not always what would be estimated
-    there.
+    **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity, 1 = white. Where
+    `.diagnostics.motion_carried` is true, `.motion` is that of a picture before, carried on: not always what would be
+    estimated there.
 
-    **Raises:** `InputError` as `reconstruct`, and for options that it finds itself.
+    **Raises:** `InputError` as `reconstruct`, and for `key` and `state`, which are found picture by picture.
     """
     for name in ("key", "state"):
-        if name in options:
-            raise InputError(f"sequence was given {name}; it finds that itself, picture by picture.")
-    estimator = options.pop("velocity", None)
-    if estimator is not None and not isinstance(estimator, Estimator):
-        raise InputError("sequence was given a velocity, which holds at one moment; hand in an Estimator, or nothing.")
+        if name in changes:
+            raise InputError(f"reconstruct_sequence was given {name}; it finds that itself, picture by picture.")
+    asked = Options.of(options, changes)
+    if isinstance(asked.motion, Motion):
+        raise InputError(
+            "reconstruct_sequence was given a Motion, which holds at one key frame; give an Estimator, or nothing."
+        )
     if isinstance(keys, str) or not isinstance(keys, Iterable):
         raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    return _pictures(recording, tuple(keys), whole(scale, "scale", 1), estimator, options)
+    return _pictures(recording, tuple(keys), whole(scale, "scale", 1), asked, progress)
 
 
 class _Followed(NamedTuple):
-    """The `motion` that was estimated last, at frame `since`, the share of the pixels that contradicted it then,
-    `against`, and the `strength` that was found with it, None where it was not looked for; the pixels' `gain`, None
-    for 1."""
+    """A motion that was estimated, and what is carried on with it.
+
+    **Fields:** `motion`, at frame `since`; `contradicted`, the share of the pixels that contradicted it then;
+    `strength`, None where it is given; `gain` of the pixels, None for 1.
+    """
 
     motion: Motion
     since: int
-    against: float
+    contradicted: float
     strength: float | None
     gain: Float[np.ndarray, "h w"] | None
 
 
 class _Moment(NamedTuple):
-    """What is known of frame `key`: its motion, if it was `carried` on, and where from."""
+    """A key frame: `task`; `frames`, by which motion is compared; `carried`, the motion that was carried on to it, None
+    where it was estimated; `followed`, the motion that it follows."""
 
-    key: int
-    pictures: Stretches | None
+    task: Task
+    frames: MotionFrames | None
     carried: Motion | None
     followed: _Followed
+
+    @property
+    def key(self) -> int:
+        return self.task.clip.key_frame
 
 
 def _pictures(
     recording: Recording,
     keys: tuple[SupportsIndex, ...],
     scale: int,
-    estimator: Estimator | None,
-    options: dict[str, Any],
+    options: Options,
+    progress: Progress | None,
 ) -> Generator[Solution, None, None]:
-    around = {name: options.get(name) for name in ("white_rate", "bad_pixels")}
-    gain = options.get("gain")
-    gains = None if gain is None or isinstance(gain, str) else pixel_gain(gain, recording.height, recording.width)
-
     def moments(
         wanted: Iterable[SupportsIndex], followed: _Followed | None
-    ) -> Generator[tuple[_Moment, Prepared | None], None, None]:
-        """The motion of each; where it is not carried on, all that is prepared."""
+    ) -> Generator[tuple[_Moment, Assembly | None], None, None]:
+        """The motion at each key frame; where it is estimated, all that is assembled with it."""
         for key in wanted:
-            moment, stream = stream_around(recording, key=key, frames=options.get("frames", FRAMES), **around)
-            pictures = comparable(
-                stream.spikes, key=stream.key, white_rate=stream.white_rate, bad_pixels=stream.bad_pixels, gain=gains
-            )
-            motion = None if followed is None else _carried(followed, pictures, moment)
-            prepared = None
+            task = task_of(recording, scale, key, options)
+            frames = task.motion_frames(task.options.known_gain)
+            motion = None if followed is None else _carried(followed, frames, task.clip.key_frame)
+            assembly = None
             if followed is None or motion is None:
-                prepared = prepare(recording, scale=scale, key=moment, **options, velocity=estimator)
-                λ = float(prepared.rounds.strength) if prepared.asked.validates else None
-                followed = _Followed(prepared.motion, moment, _against(pictures, prepared.motion), λ, prepared.gains)
-            yield _Moment(moment, pictures, motion, followed), prepared
+                assembly = assemble_task(task)
+                λ = assembly.strength if task.options.selects_strength else None
+                share = _contradicted(frames, assembly.motion)
+                followed = _Followed(assembly.motion, task.clip.key_frame, share, λ, assembly.gain)
+            yield _Moment(task, frames, motion, followed), assembly
 
-    def ready(
-        known: Generator[tuple[_Moment, Prepared | None], None, None],
-    ) -> Generator[tuple[_Moment, Prepared], None, None]:
-        """The measurements of each."""
+    def assemblies(
+        known: Generator[tuple[_Moment, Assembly | None], None, None],
+    ) -> Generator[tuple[_Moment, Assembly], None, None]:
+        """The problem at each key frame."""
         with closing(known):
-            for now, prepared in known:
-                if prepared is None:
-                    given = {**options, "gain": now.followed.gain}
+            for now, assembly in known:
+                if assembly is None:
+                    changes: dict[str, Any] = {"motion": now.carried, "gain": now.followed.gain}
                     if now.followed.strength is not None:
-                        given["strength"] = now.followed.strength
-                    prepared = prepare(recording, scale=scale, key=now.key, **given, velocity=now.carried)
-                    solver = prepared.rounds.solver
-                    solver = replace(solver, tolerance=_NEARER * solver.tolerance)
-                    prepared = replace(prepared, rounds=replace(prepared.rounds, solver=solver))
-                yield now, prepared
+                        changes["strength"] = now.followed.strength
+                    assembly = assemble_task(task_of(recording, scale, now.key, Options.of(options, changes)))
+                    solver = assembly.method.solver
+                    solver = replace(solver, tolerance=WARM_TOLERANCE_FACTOR * solver.tolerance)
+                    assembly = replace(assembly, method=replace(assembly.method, solver=solver))
+                yield now, assembly
 
     done, followed, before = 0, None, None
     while done < len(keys):
-        with closing(_ahead(ready(_ahead(moments(keys[done:], followed))))) as steps:
-            for now, prepared in steps:
-                solution = solve(prepared, _start(now, prepared, before))
-                solution.stats["carried"] = now.carried is not None
+        with closing(_ahead(assemblies(_ahead(moments(keys[done:], followed))))) as steps:
+            for now, assembly in steps:
+                solution = solve(assembly, _start(now, assembly, before), progress)
+                carried = replace(solution.diagnostics, motion_carried=now.carried is not None)
+                solution = replace(solution, diagnostics=carried)
                 followed = now.followed
-                if not solution.result.good or solution.motion is None:
+                if not solution.status.usable or solution.motion is None:
                     followed = None
-                elif now.carried is None and solution.motion is not prepared.motion:
-                    λ = None if followed.strength is None else solution.stats["strength"]
-                    followed = _Followed(
-                        solution.motion, now.key, _against(now.pictures, solution.motion), λ, solution.gain
-                    )
+                elif now.carried is None and solution.motion is not assembly.motion:
+                    λ = None if followed.strength is None else solution.diagnostics.strength
+                    share = _contradicted(now.frames, solution.motion)
+                    followed = _Followed(solution.motion, now.key, share, λ, solution.gain)
                 before = None if followed is None else (now.key, solution)
                 done += 1
                 yield solution
                 if followed is not now.followed:
-                    break  # what was begun is not what is wanted
+                    break  # the pictures that were begun follow another motion
 
 
 def _ahead(items: Generator[Item, None, None]) -> Generator[Item, None, None]:
@@ -182,19 +192,19 @@ def _ahead(items: Generator[Item, None, None]) -> Generator[Item, None, None]:
             yield item
 
 
-def _start(now: _Moment, prepared: Prepared, before: tuple[int, Solution] | None) -> Any:
+def _start(now: _Moment, assembly: Assembly, before: tuple[int, Solution] | None) -> Any:
     """The state of the last solve, moved along to this picture, with playback where hardly anything of it was seen;
     None where the motion is new."""
     if before is None or now.carried is None:
         return None
     key, solution = before
     assert solution.motion is not None  # or there were nothing to carry on
-    kept = prepared.rounds.solver.kept(solution.state)
-    moved = moved_along(solution.motion, now.key - key, prepared.asked.scale, kept)
+    kept = assembly.method.solver.kept(solution.state)
+    moved = moved_along(solution.motion, now.key - key, assembly.task.scale, kept)
     if moved is kept:
         return kept
-    there = prepared.rounds.solver.image(moved)
-    begun = _where_seen(prepared.taken.placed, there, prepared.image)
+    there = assembly.method.solver.image(moved)
+    begun = _where_seen(assembly.measurements.placed, there, assembly.image)
     return jax.tree.map(lambda leaf: begun if leaf is there else leaf, moved)
 
 
@@ -204,22 +214,22 @@ def _where_seen(
 ) -> Float[Array, "H W"]:
     """`picture`, and where hardly any of the samples are, the picture `elsewhere`."""
     seen, s = placed.seen(), placed.scale
-    hardly = seen < _SEEN * jnp.mean(seen)
+    hardly = seen < SEEN_SHARE * jnp.mean(seen)
     return jnp.where(jnp.repeat(jnp.repeat(hardly, s, axis=1), s, axis=0), elsewhere, picture)
 
 
-def _carried(followed: _Followed, pictures: Stretches | None, key: int) -> Motion | None:
+def _carried(followed: _Followed, frames: MotionFrames | None, key: int) -> Motion | None:
     """The motion at frame `key`, with its trust; None if the recording contradicts it."""
-    if abs(key - followed.since) > _OLDEST:
+    if abs(key - followed.since) > OLDEST_MOTION_FRAMES:
         return None
     motion = carry(followed.motion, key - followed.since)
-    if pictures is not None:
-        motion = relabelled(pictures, motion)
-    if _against(pictures, motion) > _MORE * followed.against + _SHARE:
+    if frames is not None:
+        motion = relabelled(frames, motion)
+    if _contradicted(frames, motion) > CONTRADICTED_FACTOR * followed.contradicted + CONTRADICTED_SHARE:
         return None
-    return motion if pictures is None else trusted(pictures, motion)
+    return motion if frames is None else trusted(frames, motion)
 
 
-def _against(pictures: Stretches | None, motion: Motion) -> float:
+def _contradicted(frames: MotionFrames | None, motion: Motion) -> float:
     """The share of the pixels that contradict a motion."""
-    return 0.0 if pictures is None else float(contradicted(pictures, motion).mean())
+    return 0.0 if frames is None else float(contradicted(frames, motion).mean())

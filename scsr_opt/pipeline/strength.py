@@ -3,12 +3,13 @@
 Two things are known. The noise between neighbouring intervals of a pixel says how far the gradient of f is moved by
 chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor of 2 of 1.
 In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and smooth
-scenes want several times as much. So λ is validated (`validated_strength`): part of the samples is held out, and the
+scenes want several times as much. So λ is validated (`StrengthSearch`): part of the samples is held out, and the
 picture made from the others has to predict them.
 """
 
 import dataclasses
 import math
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt._threads import in_threads
 from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
-from scsr_opt.camera.sampling_rules import Intervals, Measuring
+from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, Trajectory
@@ -28,8 +29,9 @@ from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.folds import MOVED, STRETCH, held_out, light_at_rest
-from scsr_opt.pipeline.measurement import Measurements, Stream, measured
+from scsr_opt.pipeline.measurement import Measurements, measure
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
@@ -80,17 +82,17 @@ def relative_strength(prior: Prior) -> float:
     return found
 
 
-def noise_of_mean(stream: Stream) -> float:
+def noise_of_mean(clip: Clip) -> float:
     """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
     a sample of the pixels, every second row and column or fewer.
 
     Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
     chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
     """
-    apart = max(2, round((stream.spikes[0].size / _SAMPLED) ** 0.5))
-    few = stream.spikes[:, ::apart, ::apart]
-    bad = None if stream.bad_pixels is None else stream.bad_pixels[::apart, ::apart]
-    samples = spike_intervals(few, white_rate=stream.white_rate, bad_pixels=bad, ends=0)
+    apart = max(2, round((clip.spikes[0].size / _SAMPLED) ** 0.5))
+    few = clip.spikes[:, ::apart, ::apart]
+    bad = None if clip.bad_pixels is None else clip.bad_pixels[::apart, ::apart]
+    samples = spike_intervals(few, white_rate=clip.white_rate, bad_pixels=bad, ends=0)
     follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
     difference = (samples.value[1:] - samples.value[:-1])[follows]
     duration = ((samples.weight[1:] + samples.weight[:-1]) / 2)[follows]
@@ -100,14 +102,14 @@ def noise_of_mean(stream: Stream) -> float:
     else:
         noise = 0.0
     noise = max(noise, 1e-3)  # spikes are counted in whole frames: never free of it
-    frames = len(stream.spikes)
+    frames = len(clip.spikes)
     fired = np.count_nonzero(few, axis=0)[... if bad is None else ~bad]
     if fired.size and np.median(fired) < 2:
-        noise = max(noise, 1 / (6 * stream.white_rate**2 * frames))
+        noise = max(noise, 1 / (6 * clip.white_rate**2 * frames))
     return (noise / frames) ** 0.5
 
 
-class Validated(NamedTuple):
+class ValidatedStrength(NamedTuple):
     """A strength λ, and what finding it left behind where the whole picture was one part.
 
     **Fields:**
@@ -182,115 +184,165 @@ def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float
     return np.asarray(part.missed())
 
 
-def validated_strength(
-    stream: Stream,
-    motion: Motion,
-    taken: Measurements | Trajectory,
-    image: Float[Array, "H W"],
-    *,
-    scale: int,
-    prior: Prior,
-    solver: Solver,
-    measuring: Measuring,
-    gain: Float[np.ndarray, "h w"] | None = None,
-    optics: LinearOperator | None = None,
-    noise: float | None = None,
-    skip: bool = True,
-) -> Validated:
-    """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more (`_BEYOND`).
+@dataclass(frozen=True, kw_only=True)
+class StrengthSearch:
+    """Search for the λ that predicts held-out samples.
 
-    Strengths a factor of 2 apart around that of the noise are tried, the best is interpolated. Up to three parts of
-    the picture serve, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: a plain
-    one, one of middling contrast and a rich one, as one part alone may ask for a quarter or for four times of what the
-    whole does. A lens makes the whole picture one part, as its blur is made for one size.
-
-    **Arguments:** `taken`, the measurements of the recording along the motion, or where several parts serve
-    (`in_parts`), which are measured anew, its path alone; `image`, X^(0) (`first_picture`);
-    `prior`, `solver`, `measuring`, `gain` and `optics` as for the reconstruction; `FISTA` stands in for solvers that
-    use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`. `noise`: what
-    `noise_of_mean` finds, if that is known. `skip`: as of `reconstruct`.
-
-    **Raises:** as `relative_strength`.
+    **Fields:**
+    - `scale` s; `prior`, `solver`, `sampling`, `gain` and `optics` as for the reconstruction. `FISTA` stands in for
+      solvers that use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`.
+    - `noise`: standard deviation of a pixel's mean (`noise_of_mean`), intensity; found if None.
+    - `merge`: whether intervals are merged where nothing moves; `reuse_sums`: whether M and c of kept and held-out
+      samples are added up for the solve that follows.
     """
-    least = strength_of_noise(noise_of_mean(stream) if noise is None else noise, scale, prior)
-    side = _side_of_parts(stream, scale, optics)
-    good = np.ones(stream.spikes.shape[1:], bool) if stream.bad_pixels is None else ~stream.bad_pixels
-    moved = motion.moved(len(stream.spikes))
-    all_taken, path = (None, taken) if isinstance(taken, Trajectory) else (taken, taken.path)
-    on_sensor = len(path.position) == 1 if all_taken is None else all_taken.placed.on_sensor
 
-    # What is held out has to be in pieces.
-    as_taken = None if all_taken is None or (all_taken.merged_for > 1).any() else all_taken
+    scale: int
+    prior: Prior
+    solver: Solver
+    sampling: SamplingRule
+    gain: Float[np.ndarray, "h w"] | None = None
+    optics: LinearOperator | None = None
+    noise: float | None = None
+    merge: bool = True
+    reuse_sums: bool = True
 
-    def made(area: tuple[slice, slice]) -> _Part | None:
-        # Sums of few pixels are too few to tell.
-        merge = skip and int(good[area].sum()) >= _FEWEST
-        pieces, part, first, merged = as_taken, stream.part(*area), image[_scaled(area, scale)], False
-        of_part = None if gain is None else gain[area]
-        if pieces is None or good[area].shape != good.shape:
-            # No more is merged than what is held out as a whole, if that holds intervals enough.
-            if merge and isinstance(measuring, Intervals):
-                if on_sensor and measuring.noise is None:
-                    ends = measuring.ends
-                    of_area = path.part(*area)
-                    return _part_at_rest(part, of_area, first, scale=scale, ends=ends, gain=of_part, optics=optics)
-                frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
-                merged = bool(frames_each.mean() <= STRETCH / 2)
-            pieces = measured(
-                part,
-                path.part(*area),
-                scale=scale,
-                measuring=measuring,
-                gain=of_part,
-                merge=merge,
-                longest=STRETCH if merged else 1,
-                on_sensor=skip,
-            )
-        return _split(pieces, moved[area], merged, optics, first, both=skip and pieces is as_taken)
+    def find(
+        self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
+    ) -> "ValidatedStrength":
+        """λ by holding out a fifth of the samples: the strength that predicts them best, and somewhat more.
 
-    areas = _chosen(image, scale, side, good)
-    found = [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
-    parts = [part for _, part in found]
-    if not parts:
-        return Validated(least)
-    # A prior that is used by its gradient need not have a proximal step.
-    kind = solver if isinstance(solver, Smooth) else FISTA()
-    solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
-    learned = isinstance(prior, RidgeRegulariser)
-    stand_in = HuberTotalVariation() if learned else prior
-    share = relative_strength(prior) / relative_strength(stand_in)
-    tried: dict[float, float] = {}
-    pictures: dict[float, Float[Array, "H W"]] = {}
-    whole = parts[0].image.shape == image.shape
+        Strengths a factor of 2 apart around that of the noise are tried, the best is interpolated. Up to three parts of
+        the picture serve, of 256 high-resolution pixels a side, so that the cost does not grow with the sensor: a plain
+        one, one of middling contrast and a rich one, as one part alone may ask for a quarter or for four times of what
+        the whole does. A lens makes the whole picture one part, as its blur is made for one size.
 
-    in_threads(lambda part: part.expose(solver, stand_in, least / share), parts)
+        **Arguments:** `measurements` of the clip along the motion, or where parts of the picture serve (`in_parts`),
+        which are measured anew, its trajectory alone; `image`, X^(0).
 
-    def missed(factor: float) -> float:
-        if factor not in tried:
-            squares, weights = np.sum(in_threads(partial(_misses, solver, stand_in, least * factor / share), parts), 0)
-            tried[factor] = float(squares / weights)
-            if whole:
-                pictures[factor] = parts[0].image
-        return tried[factor]
+        **Raises:** as `relative_strength`.
+        """
+        noise = noise_of_mean(clip) if self.noise is None else self.noise
+        least = strength_of_noise(noise, self.scale, self.prior)
+        parts = self._parts(clip, motion, measurements, image)
+        if not parts:
+            return ValidatedStrength(least)
+        # A prior that is used by its gradient need not have a proximal step.
+        kind = self.solver if isinstance(self.solver, Smooth) else FISTA()
+        solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
+        ridge = isinstance(self.prior, RidgeRegulariser)
+        stand_in = HuberTotalVariation() if ridge else self.prior
+        share = relative_strength(self.prior) / relative_strength(stand_in)
+        folds = [part for _, part in parts]
+        whole = folds[0].image.shape == image.shape
+        errors: dict[float, float] = {}
+        pictures: dict[float, Float[Array, "H W"]] = {}
 
-    best, highest = 1.0, _HIGHEST if isinstance(measuring, Intervals) else _HIGHEST_OF_OTHERS
-    if not any(part.begun for part in parts):
-        missed(2.0)  # from nothing a smoother picture is found sooner, and is a start for others
-    while missed(best) > missed(2 * best) and 2 * best < highest:
-        best *= 2
-    while best <= 1 and missed(best / 2) < missed(best) and best / 2 >= _LOWEST:
-        best /= 2
-    best *= 2 ** _vertex(missed(best / 2), missed(best), missed(2 * best))
-    by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in found]))
-    beyond, at_least = (of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST))
-    times, near, term = max(at_least, beyond * best), None, None
-    if whole:
-        term = parts[0].term()
-        near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
-        near = near if bool(jnp.isfinite(near).all()) else None
-    if learned:
-        times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
-    return Validated(least * times, near, term)
+        in_threads(lambda part: part.expose(solver, stand_in, least / share), folds)
+
+        def error(factor: float) -> float:
+            """Mean square by which held-out samples are missed at `factor` times the strength by noise."""
+            if factor not in errors:
+                sums = in_threads(partial(_misses, solver, stand_in, least * factor / share), folds)
+                squares, weights = np.sum(sums, 0)
+                errors[factor] = float(squares / weights)
+                if whole:
+                    pictures[factor] = folds[0].image
+            return errors[factor]
+
+        intervals = isinstance(self.sampling, Intervals)
+        best, highest = 1.0, _HIGHEST if intervals else _HIGHEST_OF_OTHERS
+        if not any(part.begun for part in folds):
+            error(2.0)  # from nothing a smoother picture is found sooner, and is a start for others
+        while error(best) > error(2 * best) and 2 * best < highest:
+            best *= 2
+        while best <= 1 and error(best / 2) < error(best) and best / 2 >= _LOWEST:
+            best /= 2
+        best *= 2 ** _vertex(error(best / 2), error(best), error(2 * best))
+        moved = motion.moved(len(clip.spikes))
+        by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in parts]))
+        beyond, at_least = (
+            of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST)
+        )
+        times, near, term = max(at_least, beyond * best), None, None
+        if whole:
+            term = folds[0].term()
+            near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
+            near = near if bool(jnp.isfinite(near).all()) else None
+        if ridge:
+            times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
+        return ValidatedStrength(least * times, near, term)
+
+    def _parts(
+        self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
+    ) -> list[tuple[tuple[slice, slice], "_Part"]]:
+        """Parts of the picture with their rows and columns, sensor pixels; none where too few samples are held out."""
+        side = _side_of_parts(clip, self.scale, self.optics)
+        good = np.ones(clip.shape, bool) if clip.bad_pixels is None else ~clip.bad_pixels
+        moved = motion.moved(len(clip.spikes))
+        known, path = (
+            (None, measurements) if isinstance(measurements, Trajectory) else (measurements, measurements.path)
+        )
+        on_sensor = len(path.position) == 1 if known is None else known.placed.on_sensor
+        # Held-out intervals must not be merged with others.
+        unmerged = None if known is None or (known.merged_for > 1).any() else known
+
+        def made(area: tuple[slice, slice]) -> _Part | None:
+            # Sums of few pixels are too few to tell.
+            merge = self.merge and int(good[area].sum()) >= _FEWEST
+            pieces, part, first, merged = unmerged, clip.part(*area), image[_scaled(area, self.scale)], False
+            gain = None if self.gain is None else self.gain[area]
+            if pieces is None or good[area].shape != good.shape:
+                # No more is merged than what is held out as a whole, if that holds intervals enough.
+                if merge and isinstance(self.sampling, Intervals):
+                    if on_sensor and self.sampling.noise is None:
+                        return self._part_at_rest(part, path.part(*area), first, gain)
+                    frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
+                    merged = bool(frames_each.mean() <= STRETCH / 2)
+                pieces = measure(
+                    part,
+                    path.part(*area),
+                    scale=self.scale,
+                    sampling=self.sampling,
+                    gain=gain,
+                    merge=merge,
+                    longest=STRETCH if merged else 1,
+                    on_sensor=self.merge,
+                )
+            both = self.reuse_sums and pieces is unmerged
+            return _split(pieces, moved[area], merged, self.optics, first, both=both)
+
+        areas = _chosen(image, self.scale, side, good)
+        return [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
+
+    def _part_at_rest(
+        self, part: Clip, path: Trajectory, first: Float[Array, "H W"], gain: Float[np.ndarray, "h w"] | None
+    ) -> "_Part | None":
+        """As `_split` of intervals where nothing moves: all that a pixel keeps, and all that is held out of it, is one
+        sample. What is missed then differs from what the intervals are missed by in a number that is the same for all
+        pictures."""
+        assert isinstance(self.sampling, Intervals)
+        scale, (frames, height, width) = self.scale, part.spikes.shape
+        rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
+        good = np.float32(1) if part.bad_pixels is None else ~part.bad_pixels
+        over = np.float32(part.white_rate) * (np.float32(1) if gain is None else gain)
+
+        def placed(sums: Float[np.ndarray, "2 h w"]) -> PlacedSamples:
+            light, time = sums
+            samples = Samples(
+                row=rows,
+                column=columns,
+                start=np.zeros(rows.size, np.float32),
+                stop=np.full(rows.size, frames - 1, np.float32),
+                value=(light / np.where(time > 0, time, 1) / over).reshape(-1).astype(np.float32),
+                weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
+            ).padded()
+            shape = (scale * height, scale * width)
+            return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
+
+        kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends))
+        if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
+            return None
+        return _Part(kept, held, first, self.optics)
 
 
 def _chosen(
@@ -352,57 +404,20 @@ def _split(
     return _Part(kept, chosen, first, optics, both=both)
 
 
-def _part_at_rest(
-    part: Stream,
-    path: Trajectory,
-    first: Float[Array, "H W"],
-    *,
-    scale: int,
-    ends: float | int,
-    gain: Float[np.ndarray, "h w"] | None,
-    optics: LinearOperator | None,
-) -> _Part | None:
-    """What `_split` makes of intervals where nothing moves: all that a pixel keeps, and all that is held out of it, is
-    one sample. What is missed then differs from what the intervals are missed by in a number that is the same for all
-    pictures."""
-    frames, height, width = part.spikes.shape
-    rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
-    good = np.float32(1) if part.bad_pixels is None else ~part.bad_pixels
-    over = np.float32(part.white_rate) * (np.float32(1) if gain is None else gain)
-
-    def placed(sums: Float[np.ndarray, "2 h w"]) -> PlacedSamples:
-        light, time = sums
-        samples = Samples(
-            row=rows,
-            column=columns,
-            start=np.zeros(rows.size, np.float32),
-            stop=np.full(rows.size, frames - 1, np.float32),
-            value=(light / np.where(time > 0, time, 1) / over).reshape(-1).astype(np.float32),
-            weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
-        ).padded()
-        shape = (scale * height, scale * width)
-        return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
-
-    kept, held = map(placed, light_at_rest(part.spikes, ends=ends))
-    if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
-        return None
-    return _Part(kept, held, first, optics)
-
-
-def longest_merged(stream: Stream, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
+def longest_merged(clip: Clip, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
     """Frames over which intervals may be merged so that the same samples serve the picture and the validation: 1 where
     something moves and the whole picture is one part, as what is held out has to be in pieces; None for any."""
-    return 1 if motion.speed.any() and not in_parts(stream, scale, optics) else None
+    return 1 if motion.speed.any() and not in_parts(clip, scale, optics) else None
 
 
-def in_parts(stream: Stream, scale: int, optics: LinearOperator | None = None) -> bool:
+def in_parts(clip: Clip, scale: int, optics: LinearOperator | None = None) -> bool:
     """Whether strengths are tried on parts of the picture, or on the whole."""
-    return max(stream.spikes.shape[1:]) > _side_of_parts(stream, scale, optics)
+    return max(clip.spikes.shape[1:]) > _side_of_parts(clip, scale, optics)
 
 
-def _side_of_parts(stream: Stream, scale: int, optics: LinearOperator | None) -> int:
+def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None) -> int:
     """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
-    return max(_SIDE // scale, 1) if optics is None else max(stream.spikes.shape[1:])
+    return max(_SIDE // scale, 1) if optics is None else max(clip.spikes.shape[1:])
 
 
 @eqx.filter_jit

@@ -1,6 +1,5 @@
 """What is known about pictures beforehand: the Ψ of Eq. 4, with its value and its proximal step."""
 
-from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.bilateral_total_variation import BilateralTotalVariation
 from scsr_opt.priors.bounded import Bounded
@@ -31,7 +30,6 @@ __all__ = [
     "TotalVariation",
     "WaveletL1",
     "bilateral",
-    "default_prior",
     "nl_means",
     "tv_chambolle",
 ]

@@ -1,7 +1,7 @@
 """What a reconstruction is shown with: pictures and films in files, the figure, the report, progress.
 
-    figure(recording, solution, scale=4).savefig("figure.png")
-    Report.of(recording, solution, scale=4, key=50).write("report.json")
+    figure(solution).savefig("figure.png")
+    Report.of(solution).write("report.json")
     write_picture("picture.png", solution.image, bits=16)
 
 Names are looked up in their modules when first asked for: who only writes a picture need not wait for matplotlib.

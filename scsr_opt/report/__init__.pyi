@@ -1,5 +1,5 @@
 from .colours import colour_wheel, full_speed, motion_colours
-from .figures import bicubic, compare, detailed_part, figure, plan_figure
+from .figures import bicubic, compare, detailed_part, figure, scene_figure
 from .files import check_writable, whole_file
 from .pictures import PictureFormat, check_film, quantise, read_picture, write_film, write_picture
 from .progress import RichProgress
@@ -18,7 +18,7 @@ __all__ = [
     "figure",
     "full_speed",
     "motion_colours",
-    "plan_figure",
+    "scene_figure",
     "quantise",
     "read_picture",
     "versions",

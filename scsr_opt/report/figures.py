@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from scsr_opt.errors import InputError
-from scsr_opt.pipeline.scene_summary import Kind
+from scsr_opt.pipeline.scene_summary import TileKind
+from scsr_opt.pipeline.solution import Solution
 from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
-from scsr_opt.solvers.solution import Solution
 
 _INK = "#222222"
 _FAINT = "#777777"
@@ -58,12 +58,8 @@ def bicubic(image: Num[Any, "h w"], scale: int) -> Float[np.ndarray, "H W"]:
 
 
 def figure(
-    recording: Any,
     solution: Solution,
     *,
-    scale: int,
-    key: int | None = None,
-    white_rate: float | None = None,
     window: int = 21,
     truth: Num[Any, "H W"] | None = None,
     title: str | None = None,
@@ -71,27 +67,19 @@ def figure(
     """Draws a solution beside the playback of its recording.
 
     **Arguments:**
-    - `recording`: a `Recording`, or spikes (T, h, w).
-    - `solution`: of that recording; its `stages` and `velocity` may be missing.
-    - `scale`: HR pixels per sensor pixel, the one that was solved for.
-    - `key`: the key frame; the middle one if None.
-    - `white_rate`: spikes per frame of white; the recording's own (0.6 for an array) if None.
     - `window`: frames that the playback (TFP) averages over, if the recording has as many.
     - `truth`: (H, W), the picture of the key frame where it is known.
     - `title`: over everything; none if None.
 
     **Returns:** a matplotlib `Figure`; `figure.savefig(path)` writes it, a notebook shows it.
-
-    **Raises:** `InputError` if the key frame is not in the recording.
     """
-    from scsr_opt.camera import Recording, tfp
+    from scsr_opt.camera import tfp
 
-    source = recording if isinstance(recording, Recording) else Recording.from_array(recording)
-    rate = source.white_rate if white_rate is None else white_rate
-    middle = source.frames // 2 if key is None else key
-    start, stop = source.around(middle, window)
+    source, scale = solution.recording, solution.scale
+    start, stop = source.around(solution.key, window)
     window = min(window, stop - start)
-    playback = np.asarray(tfp(source.window(start, stop), middle - start, window=window, white_rate=rate))
+    frames = source.window(start, stop)
+    playback = np.asarray(tfp(frames, solution.key - start, window=window, white_rate=solution.white_rate))
     columns = {f"Playback (TFP, {window} frames), bicubic ×{scale}": bicubic(playback, scale)}
     columns[f"Reconstruction ×{scale}"] = np.asarray(solution.image)
     if truth is not None:
@@ -154,60 +142,60 @@ def compare(
 
 # One colour for each kind of tile, apart in lightness too; what rests is left as it is.
 _OF_KIND = {
-    Kind.STATIC: None,
-    Kind.UNIFORM: "#7f7f7f",
-    Kind.MOVING: "#c8102e",
-    Kind.DARK: "#1f4e9c",
-    Kind.FAST: "#e69f00",
-    Kind.SATURATED: "#56b4e9",
+    TileKind.STATIC: None,
+    TileKind.UNIFORM: "#7f7f7f",
+    TileKind.MOVING: "#c8102e",
+    TileKind.DARK: "#1f4e9c",
+    TileKind.FAST: "#e69f00",
+    TileKind.SATURATED: "#56b4e9",
 }
 
 
-def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> Figure:
-    """What each tile of the scene asked for, in colour over the picture, and the reasons in words; beside it, where
-    tiles were left alone, how many iterations each of them took.
+def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
+    """Kinds of the tiles of a scene, in colour over the picture, and in words; beside it, where tiles were iterated one
+    by one, the iterations of each of them.
 
-    **Arguments:** `solution`: one with a `plan`; `scale`, that of its picture; `title`: over everything.
+    **Arguments:** `solution`: one with a `scene`; `title`: over everything.
 
-    **Raises:** `InputError` if nothing was skipped.
+    **Raises:** `InputError` if the solution has no summary of its scene.
     """
-    plan, active = solution.plan, solution.active
-    if active is not None and not active.alone.any():
-        active = None
-    if plan is None:
-        raise InputError("This solution has no plan, as nothing was skipped: solve with skip=True for one.")
+    scene, tiles = solution.scene, solution.tiles
+    if tiles is not None and not tiles.tile_iterations.any():
+        tiles = None
+    if scene is None:
+        raise InputError("This solution has no summary of its scene, as no work was left out: solve with Shortcuts().")
     height, width = solution.image.shape
     across = min(_WIDEST, _TALLEST * width / height)
     tall = across * height / width
     column = max(across, _TITLED)
-    page = 2 * _MARGIN + (_WIDEST if active is None else max(_WIDEST, column + _GUTTER + across + _GUTTER + _SCALE))
-    lines = plan.lines() + ([] if active is None else active.lines())
-    shown = [kind for kind in Kind if plan.share(kind) > 0]
-    top = _MARGIN + (_TITLE if title or active is not None else 0)
+    page = 2 * _MARGIN + (_WIDEST if tiles is None else max(_WIDEST, column + _GUTTER + across + _GUTTER + _SCALE))
+    lines = scene.lines() + ([] if tiles is None else tiles.lines())
+    shown = [kind for kind in TileKind if scene.share(kind) > 0]
+    top = _MARGIN + (_TITLE if title or tiles is not None else 0)
     with matplotlib.rc_context(_STYLE):
         drawn = Figure(figsize=(page, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
         axes = _axes(drawn, _MARGIN, top, across, tall)
-        colours = np.zeros((*plan.kind.shape, 4))
+        colours = np.zeros((*scene.kind.shape, 4))
         for kind in shown:
             if (colour := _OF_KIND[kind]) is not None:
-                colours[plan.kind == kind] = to_rgba(colour, 0.35)
-        _tiled(axes, solution.image, colours, plan.tile * scale)
-        axes.set_title(title or "What each tile asks for", loc="left", fontsize=10)
-        if active is not None:
+                colours[scene.kind == kind] = to_rgba(colour, 0.35)
+        _tiled(axes, solution.image, colours, scene.tile * solution.scale)
+        axes.set_title(title or "What each tile is", loc="left", fontsize=10)
+        if tiles is not None:
             x = _MARGIN + column + _GUTTER
             beside = _axes(drawn, x, top, across, tall)
-            iterations = active.whole + active.alone
-            range_ = Normalize(active.whole, max(int(iterations.max()), active.whole + 1))
-            shades = matplotlib.colormaps["viridis"](range_(iterations), alpha=0.5 * (active.alone > 0))
-            _tiled(beside, solution.image, shades, active.tile)
-            beside.set_title(f"Iterations: {active.whole}, and more where coloured", loc="left", fontsize=10)
+            iterations = tiles.global_iterations + tiles.tile_iterations
+            range_ = Normalize(tiles.global_iterations, max(int(iterations.max()), tiles.global_iterations + 1))
+            shades = matplotlib.colormaps["viridis"](range_(iterations), alpha=0.5 * (tiles.tile_iterations > 0))
+            _tiled(beside, solution.image, shades, tiles.tile_side)
+            beside.set_title(f"Iterations: {tiles.global_iterations}, and more where coloured", loc="left", fontsize=10)
             bar = _axes(drawn, x + across + _GUTTER, top, 0.15, tall)
             drawn.colorbar(ScalarMappable(range_, "viridis"), cax=bar, alpha=0.75)
         below = _axes(drawn, _MARGIN, top + tall, page - 2 * _MARGIN, 0.2 * (len(lines) + 1))
         below.set_axis_off()
         for number, line in enumerate(lines):
             y = 1 - (number + 0.8) / (len(lines) + 1)
-            kind = next((kind for kind in shown if line.endswith(f"{plan.reason(kind)}.")), None)
+            kind = next((kind for kind in shown if line.endswith(f"{scene.reason(kind)}.")), None)
             inches = page - 2 * _MARGIN
             if kind is not None:
                 colour = _OF_KIND[kind] or "none"
@@ -319,7 +307,7 @@ def _convergence(drawn: Figure, solution: Solution, x: float, y: float, wide: fl
     each = (tall - 1.5 * _TITLE) / 2
     upper = _axes(drawn, x, y, wide, each)
     _curve(upper, number, [stage.objective for stage in stages])
-    ending = solution.result.name.replace("_", " ")
+    ending = solution.status.name.replace("_", " ")
     upper.set_title(f"Objective: {len(stages)} iterations, {ending}", loc="left", fontsize=10)
     upper.tick_params(labelbottom=False)
     lower = _axes(drawn, x, y + tall - each, wide, each)

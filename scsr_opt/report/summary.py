@@ -1,4 +1,4 @@
-"""What there is to say of a reconstruction in numbers: for a JSON file, and in three lines for a reader."""
+"""The numbers of a reconstruction: for a JSON file, and in three lines for a reader."""
 
 import dataclasses
 import enum
@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from scsr_opt.camera.saturation import said_of
+from scsr_opt.pipeline.solution import Solution
 from scsr_opt.report.files import whole_file
-from scsr_opt.solvers.solution import Solution, Stage
+from scsr_opt.solvers.record import Stage
 
 _VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")
 
@@ -29,9 +30,10 @@ class Report:
     - `recording`: name, frames, width, height, readout_rate (Hz), white_rate (spikes per frame of white), bad_pixels
       (how many).
     - `picture`: width, height, scale, key, and the least, mean and greatest intensity (1 = white).
-    - `result`: name, sentence, good.
+    - `status`: name, message, usable.
     - `motion`: mean and greatest speed, sensor pixels per frame; None where no motion was used.
-    - `stats`: as the solution has them.
+    - `diagnostics`: the numbers of `Diagnostics`. `scene`, `tiles`: numbers of the scene's summary and of the tiles'
+      iterations, where the solution has them.
     - `stages`: one dictionary per iteration, as `Stage` but without its arrays.
     - `seconds`: what took how long, where it was measured.
     - `versions`: Python and the packages that the numbers depend on.
@@ -39,9 +41,11 @@ class Report:
 
     recording: dict[str, Any]
     picture: dict[str, Any]
-    result: dict[str, Any]
+    status: dict[str, Any]
     motion: dict[str, Any] | None
-    stats: dict[str, Any]
+    diagnostics: dict[str, Any]
+    scene: dict[str, Any] | None
+    tiles: dict[str, Any] | None
     stages: list[dict[str, Any]]
     seconds: dict[str, float]
     versions: dict[str, str]
@@ -49,16 +53,12 @@ class Report:
     @classmethod
     def of(
         cls,
-        recording: Any,
         solution: Solution,
         *,
-        scale: int,
-        key: int,
-        white_rate: float | None = None,
         seconds: Mapping[str, float] | None = None,
     ) -> "Report":
-        """The report of a solution of a `Recording` for key frame `key`; `seconds` is taken over as it is."""
-        image = np.asarray(solution.image)
+        """The report of a solution; `seconds`: how long parts of the work around it took, by name."""
+        recording, image = solution.recording, np.asarray(solution.image)
         bad = recording.bad_pixels
         motion = None
         if solution.velocity is not None:
@@ -75,25 +75,27 @@ class Report:
                 "width": recording.width,
                 "height": recording.height,
                 "readout_rate": plain(recording.readout_rate),
-                "white_rate": plain(recording.white_rate if white_rate is None else white_rate),
+                "white_rate": plain(solution.white_rate),
                 "bad_pixels": None if bad is None else int(np.count_nonzero(bad)),
             },
             picture={
                 "width": image.shape[1],
                 "height": image.shape[0],
-                "scale": scale,
-                "key": key,
+                "scale": solution.scale,
+                "key": solution.key,
                 "minimum": plain(image.min()),
                 "mean": plain(image.mean(dtype=np.float64)),
                 "maximum": plain(image.max()),
             },
-            result={
-                "name": solution.result.name,
-                "sentence": solution.result.sentence,
-                "good": solution.result.good,
+            status={
+                "name": solution.status.name,
+                "message": solution.status.message,
+                "usable": solution.status.usable,
             },
             motion=plain(motion),
-            stats=plain(solution.stats),
+            diagnostics=plain(solution.diagnostics),
+            scene=None if solution.scene is None else plain(solution.scene.numbers),
+            tiles=None if solution.tiles is None else plain(solution.tiles.numbers),
             stages=[_stage(stage) for stage in solution.stages],
             seconds={name: round(float(value), 4) for name, value in (seconds or {}).items()},
             versions=versions(),
@@ -111,11 +113,11 @@ class Report:
                 f"Motion: {self.motion['mean_speed']:.3g} sensor pixels per frame in the mean, "
                 f"{self.motion['top_speed']:.3g} at most."
             )
-        if self.stats.get("saturated"):
-            lines.append(f"Saturated: {said_of(self.stats['saturated'])}.")
-        iterations = self.stats.get("iterations", len(self.stages))
+        if self.diagnostics["saturated"]:
+            lines.append(f"Saturated: {said_of(self.diagnostics['saturated'])}.")
+        iterations = self.diagnostics["iterations"]
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
-        lines.append(f"{iterations} iterations{took}. {self.result['sentence']}")
+        lines.append(f"{iterations} iterations{took}. {self.status['message']}")
         return lines
 
     def json(self) -> str:

@@ -5,13 +5,13 @@
 `ADMM`, `CondatVu` and `ChambollePock` split the prior off by a dual variable; `NonlinearCG` and `LBFGS` (optimistix)
 are for smooth priors. `JaxoptISTA` and `JaxoptFISTA` do the same by an independent implementation, and `JaxoptADMM`
 solves the linear systems of `ADMM` by one.
-`solution` is the minimiser as a function that can be differentiated.
+`implicit_minimiser` is the minimiser as a function that can be differentiated.
 """
 
 from scsr_opt.solvers.admm import ADMM, JaxoptADMM
 from scsr_opt.solvers.data_proximal import DataProximal
 from scsr_opt.solvers.default import default_solver
-from scsr_opt.solvers.implicit import solution
+from scsr_opt.solvers.implicit import implicit_minimiser
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
 from scsr_opt.solvers.loop import Outcome, Record, Solver, run
@@ -19,17 +19,17 @@ from scsr_opt.solvers.primal_dual import ChambollePock, CondatVu
 from scsr_opt.solvers.problem import Problem, lipschitz_bound, with_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.quasi_newton import LBFGS, NonlinearCG
-from scsr_opt.solvers.solution import Active, Result, Solution, Stage
+from scsr_opt.solvers.record import Stage, Status, TileIterations
 from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, Separable, SpectralNorm, StepSize
 from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
-from scsr_opt.solvers.tiles import divides, run_active
+from scsr_opt.solvers.tiles import is_tileable, run_tiles
 
 __all__ = [
     "ADMM",
     "FISTA",
     "ISTA",
     "LBFGS",
-    "Active",
+    "TileIterations",
     "Backtracking",
     "Balance",
     "ChambollePock",
@@ -49,19 +49,18 @@ __all__ = [
     "Outcome",
     "Problem",
     "Record",
-    "Result",
+    "Status",
     "Separable",
-    "Solution",
     "Solver",
     "SpectralNorm",
     "Stage",
     "StepSize",
     "Stopping",
     "default_solver",
-    "divides",
+    "is_tileable",
     "lipschitz_bound",
-    "run_active",
+    "run_tiles",
     "with_bound",
     "run",
-    "solution",
+    "implicit_minimiser",
 ]

@@ -21,7 +21,7 @@ _OVER = 1.4
 _Pair = tuple[Float[Array, "H W"], Any]
 
 
-def solution(
+def implicit_minimiser(
     problem: Problem, image: Float[Array, "H W"], *, iterations: int = 1000, adjoint_iterations: int = 1000
 ) -> Float[Array, "H W"]:
     """The minimiser X*(θ) of f(X) + λΨ(X), differentiable in reverse mode by every number θ of the problem: λ, the
@@ -53,11 +53,11 @@ def solution(
     """
     if not isinstance(problem.prior, Analysis | RidgeRegulariser):
         raise InputError(
-            f"solution was given {type(problem.prior).__name__}; it needs an Analysis prior such as TotalVariation, or "
-            "a RidgeRegulariser."
+            f"implicit_minimiser was given {type(problem.prior).__name__}; it needs an Analysis prior such as "
+            "TotalVariation, or a RidgeRegulariser."
         )
     for name, number in (("iterations", iterations), ("adjoint_iterations", adjoint_iterations)):
-        whole("solution", number, name)
+        whole("implicit_minimiser", number, name)
     numbers, fixed = eqx.partition(problem, eqx.is_inexact_array)
     return _solution(numbers, fixed, iterations, adjoint_iterations, jax.lax.stop_gradient(image))
 

@@ -18,7 +18,7 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
 from scsr_opt.solvers.linear_solve import LinearSolve
 from scsr_opt.solvers.problem import Problem, with_bound
-from scsr_opt.solvers.solution import Active, Result, Stage
+from scsr_opt.solvers.record import Stage, Status, TileIterations
 from scsr_opt.solvers.step_size import Balance, StepSize
 from scsr_opt.solvers.stopping import Stopping
 
@@ -115,19 +115,19 @@ Correction = Callable[[Float[Array, "H W"], float], Problem | None]
 
 
 class Outcome(NamedTuple):
-    """What a solve gives back; `active`, where tiles were asked (`scsr_opt.solvers.run_active`)."""
+    """What a solve gives back; `tiles`, their iterations where tiles were looked at one by one (`run_tiles`)."""
 
     image: Float[np.ndarray, "H W"]
     stages: tuple[Stage, ...]
-    result: Result
+    status: Status
     state: Any
-    active: Active | None = None
+    tiles: TileIterations | None = None
 
 
 def run(
     solver: Solver,
     problem: Problem,
-    image: Float[Array, "H W"],
+    image: Float[Array, "H W"] | None = None,
     *,
     state: Any = None,
     similar: Any = None,
@@ -139,11 +139,12 @@ def run(
     """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with that of a `similar` problem.
 
     **Arguments:**
+    - `image`: (H, W), X^(0); `problem.start` if None.
     - `state`: `Outcome.state` (`Solution.state`) of a run of the same solver on the same problem: what follows is what
       would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
     - `correction`: makes another problem of the picture after every `CORRECTED_AFTER` iterations, and where the
       tolerance is met; only where it makes none the run ends there.
-    - `progress`: told of the iterations, by chunks.
+    - `progress`: is told of the iterations, by chunks.
     - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
     - `tolerance`: stands in for the solver's own.
 
@@ -153,6 +154,9 @@ def run(
     not finite, or a prior that the solver cannot use.
     """
     begin = time.perf_counter()
+    image, problem = problem.start if image is None else image, dataclasses.replace(problem, start=None)
+    if image is None:
+        raise InputError("run was given no picture, nor a problem with one (Problem.start); give X^(0).")
     iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
     solver.check(problem.prior)
     # The limits are handed over apart, so that other limits compile nothing anew.
@@ -171,7 +175,7 @@ def run(
         return _advance(solver, problem, before, np.int32(most), enough, chunk)
 
     stages: list[Stage] = []
-    result = Result.iterations_exhausted
+    status = Status.iterations_exhausted
     if progress is not None:
         progress.start(iterations, "solving")
     try:
@@ -196,7 +200,7 @@ def run(
             if progress is not None:
                 progress.advance(int(done))
             if not finite:
-                result = Result.non_finite
+                status = Status.non_finite
                 break
             if correction is not None and (met or len(stages) % between == 0):
                 following = correction(solver.image(state), float(enough))
@@ -204,14 +208,14 @@ def run(
                     state = _retargeted(solver, following, problem, state)
                     problem, met = following, False
             if met:
-                result = Result.converged
+                status = Status.converged
                 break
     finally:
         if progress is not None:
             progress.finish()
     # Splitting methods keep to bounds in a copy, which the picture only tends to.
     found = problem.prior.clip(solver.image(state))
-    return Outcome(np.asarray(found), tuple(stages), result, state)
+    return Outcome(np.asarray(found), tuple(stages), status, state)
 
 
 def _check_state(solver: Solver, problem: Problem, state: Any) -> None:

@@ -16,12 +16,13 @@ class Problem(eqx.Module):
     Halved, so that the proximal step of Eq. 5 is the usual argmin ½‖X − R‖² + βλΨ(X). The weights are scaled so that a
     sensor pixel that is observed all the time has Σω = 1; λ then hardly depends on how many frames went in.
 
-    **Fields:** `data` f, `prior` Ψ, `strength` λ.
+    **Fields:** `data` f, `prior` Ψ, `strength` λ; `start`: X^(0), where `run` begins if it is given no other picture.
     """
 
     data: DataTerm
     prior: Prior
     strength: Float[Array, ""]
+    start: Float[Array, "H W"] | None = None
 
     def change_of_gradient(self, before: "Problem") -> Float[Array, "H W"]:
         """By how much ∇f is another than that of `before`, where only c and e are: the same at every picture."""

@@ -30,7 +30,7 @@ from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.solvers.loop import CORRECTED_AFTER, Correction, Outcome, Record, Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
-from scsr_opt.solvers.solution import Active, Result, Stage
+from scsr_opt.solvers.record import Stage, Status, TileIterations
 from scsr_opt.solvers.step_size import Separable
 from scsr_opt.solvers.stopping import FixedPoint
 
@@ -46,7 +46,7 @@ _WHOLE, _WHOLE_SIMILAR, _LIMIT, _WITHIN = 4.0, 64.0, 10.0, 0.6
 _BATCH, _MOST, _VISITS = 4, 40, 12
 
 
-def divides(solver: Solver, problem: Problem) -> bool:
+def is_tileable(solver: Solver, problem: Problem) -> bool:
     """Whether a problem can be solved tile by tile: each pixel has its own step size, and is coupled with near ones
     only."""
     data = problem.data
@@ -58,7 +58,7 @@ def divides(solver: Solver, problem: Problem) -> bool:
     return near and isinstance(solver.stopping, FixedPoint) and min(data.shape) >= _window(data.aperture.scale)
 
 
-def run_active(
+def run_tiles(
     solver: Solver,
     problem: Problem,
     image: Float[Array, "H W"],
@@ -69,7 +69,7 @@ def run_active(
     tolerance: float | int | None = None,
     skip: bool = True,
 ) -> Outcome:
-    """As `run`, but until each tile is finished, too; for what `divides`. Its arguments, and
+    """As `run`, but until each tile is finished, too; for what `is_tileable`. Its arguments, and
 
     - `skip`: whether tiles that are finished are left alone. If not, iterations are of the whole picture until all are.
 
@@ -107,7 +107,7 @@ def _run(
     tolerance: float | int | None,
     skip: bool,
 ) -> Outcome:
-    """`run_active`, as a part of what it tells of."""
+    """`run_tiles`, as a part of what it tells of."""
     begun = time.perf_counter()
     # As `run` rounds it, which hands it on to corrections.
     enough = float(np.float32(solver.tolerance if tolerance is None else tolerance))
@@ -122,7 +122,7 @@ def _run(
         current = current if following is None else following
         return following
 
-    def whole(tolerance: float, iterations: int, **begin: Any) -> tuple[Any, Result]:
+    def whole(tolerance: float, iterations: int, **begin: Any) -> tuple[Any, Status]:
         """Iterations of the whole picture, with corrections on the way."""
         limited = dataclasses.replace(solver, iterations=iterations)
         touched, told = None if correction is None else corrected, None if progress is None else _Within(progress)
@@ -130,7 +130,7 @@ def _run(
         outcome = run(limited, current, image, correction=touched, progress=told, tolerance=tolerance, **begin)
         for stage in outcome.stages:
             stages.append(dataclasses.replace(stage, number=done + stage.number, seconds=since + stage.seconds))
-        return outcome.state, outcome.result
+        return outcome.state, outcome.status
 
     def left() -> int:
         return solver.iterations - len(stages) - int(alone.max())
@@ -143,13 +143,13 @@ def _run(
     # or nearly so.
     loose = skip and _WHOLE * math.sqrt(math.prod(problem.data.shape)) / side > _LIMIT
     first = (_WHOLE if similar is None else _WHOLE_SIMILAR) if loose else 1
-    state, result = whole(first * enough, left(), similar=similar)
+    state, status = whole(first * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False
-    while result is Result.converged:
+    while status is Status.converged:
         gradient, slopes = _slopes(current, state.image, state.prior, state.step_size)
         slopes = np.asarray(slopes)
         if not np.isfinite(slopes).all():
-            state, result = finite, Result.non_finite
+            state, status = finite, Status.non_finite
             break
         finite = state = _restarted(state, gradient) if stale else state
         active = slopes > limit
@@ -157,7 +157,7 @@ def _run(
         active |= (maximum_filter(active, 3) > 0) & (slopes > _WITHIN * limit)
         stale = False
         if left() < (2 if active.any() else 1):
-            result = Result.iterations_exhausted
+            status = Status.iterations_exhausted
             break
         if active.any() and skip and visits < _VISITS:
             state, took = _on_tiles(steps, current, state, np.where(active, slopes, 0), limit, min(left() - 1, _MOST))
@@ -169,7 +169,7 @@ def _run(
             continue
         if active.any():
             state, ended = whole(0.0, min(left(), CORRECTED_AFTER), state=state)
-            result = result if ended.good else ended
+            status = status if ended.usable else ended
             continue
         if corrected(state.image, enough) is not None:
             stale = True
@@ -179,7 +179,7 @@ def _run(
             following, *found = _step(steps, current, state)
             record, residuals = jax.device_get(found)
             if not np.isfinite(sum(record[:3])):
-                result = Result.non_finite
+                status = Status.non_finite
                 break
             state, residual, worst = following, float(record.residual), float(residuals.max())
             stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begun))
@@ -187,12 +187,12 @@ def _run(
                 progress.advance(1)
             if residual <= enough:
                 break
-        if result.good and residual <= enough and worst <= limit:
+        if status.usable and residual <= enough and worst <= limit:
             if corrected(state.image, enough) is None:
                 break
             stale = True
     found = np.asarray(current.prior.clip(state.image))
-    return Outcome(found, tuple(stages), result, state, Active(len(stages), alone, side, worst, limit))
+    return Outcome(found, tuple(stages), status, state, TileIterations(len(stages), alone, side, worst, limit))
 
 
 def _restarted(state: ProximalGradientState, gradient: Float[Array, "H W"]) -> ProximalGradientState:
@@ -212,7 +212,7 @@ def _slopes(
     problem: Problem, image: Float[Array, "H W"], dual: Any, step_size: Float[Array, "H W"]
 ) -> tuple[Float[Array, "H W"], Float[Array, "rows columns"]]:
     """∇f, and by how much a step along the slope of F, ∇f + λK*p, would change each tile."""
-    assert isinstance(problem.prior, Analysis)  # `divides` saw to it
+    assert isinstance(problem.prior, Analysis)  # `is_tileable` saw to it
     gradient = problem.data.gradient(image)
     slope = gradient + problem.strength * problem.prior.adjoint(dual)
     return gradient, by_tile(step_size * slope, image, _side(problem))

@@ -15,7 +15,7 @@ from learned.evaluation.stage_report import Comparison, ModelStages, StageMeasur
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.training import checkpoint
 from scsr_opt.report import write_picture
-from scsr_opt.solvers import Result
+from scsr_opt.solvers import Status
 
 UNROLLED = {"stages": 2, "boundaries": (10,), "proximal": False}
 FILES = ["stages.txt", "stages.json", "stages.png"]
@@ -40,8 +40,8 @@ def asked(monkeypatch) -> list[dict]:
         progress.finish()
         image = np.full((scale * recording.height, scale * recording.width), 0.5, np.float32)
         stage = StageMeasures(1, 2.0, *[1.0] * 12)
-        rows = tuple(ModelStages(one.name, Result.converged, None, (stage,), {1: (image, image)}) for one in chosen)
-        return Comparison(recording, scale, key, 31, 0.1, image, 2.0, Result.converged, 9, truth, rows, ())
+        rows = tuple(ModelStages(one.name, Status.converged, None, (stage,), {1: (image, image)}) for one in chosen)
+        return Comparison(recording, scale, key, 31, 0.1, image, 2.0, Status.converged, 9, truth, rows, ())
 
     monkeypatch.setattr(compare, "compare_stages", stand_in)
     return calls

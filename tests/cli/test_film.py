@@ -8,7 +8,7 @@ from PIL import Image
 
 import scsr_opt
 from scsr_opt.report import read_picture
-from scsr_opt.solvers import Result, Solution
+from scsr_opt.solvers import Solution, Status
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 
@@ -22,7 +22,7 @@ def asked(monkeypatch) -> list[dict]:
         calls.append({"recording": recording, "keys": keys, "scale": scale, **others})
         for number, key in enumerate(keys):
             image = np.full((scale * HEIGHT, scale * WIDTH), key / FRAMES, np.float32)
-            result = Result.non_finite if key == 13 else Result.converged
+            result = Status.non_finite if key == 13 else Status.converged
             yield Solution(image, (), result, {"carried": number not in (0, 2)})
 
     monkeypatch.setattr(scsr_opt, "sequence", stand_in, raising=False)

@@ -13,7 +13,7 @@ from scsr_opt.camera import tfp
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.scene_summary import Plan
 from scsr_opt.report import bicubic, read_picture
-from scsr_opt.solvers import Active, Result, Solution, Stage
+from scsr_opt.solvers import Active, Solution, Stage, Status
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 
@@ -48,7 +48,7 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     plan = Plan(np.array([[0, 2, 2]]), np.array([[31, 1, 1]]), np.ones((1, 3), np.float32), "2 layers", 500, 200)
     stages = (Stage(1, 1.0, 0.5, 0.5, 2e-4, 1.0),)
     stats = {"seconds": {"motion": 0.5}, "solver": "DataProximal", "positions": 1}
-    solution = Solution(np.zeros((48, 80), np.float32), stages, Result.converged, stats, plan=plan)
+    solution = Solution(np.zeros((48, 80), np.float32), stages, Status.converged, stats, plan=plan)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
@@ -66,7 +66,7 @@ def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
         np.zeros((48, 80), np.float32),
         {"seconds": {"motion": 0.5}, "active": active.numbers, "positions": 5},
     )
-    solution = Solution(image, stages, Result.converged, stats, plan=plan, active=active)
+    solution = Solution(image, stages, Status.converged, stats, plan=plan, active=active)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     given = ("--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png", "--report", "a.json")
     said = scsr("solve", file, *given)
@@ -125,19 +125,19 @@ def test_solve_refuses_before_it_starts(scsr, here, file, asked, options, messag
 
 def test_a_failed_solve_writes_no_picture(scsr, here, monkeypatch, file):
     def fail(spikes, *, scale, **_):
-        return Solution(np.full((96, 160), np.nan, np.float32), (), Result.no_samples)
+        return Solution(np.full((96, 160), np.nan, np.float32), (), Status.no_samples)
 
     monkeypatch.setattr(scsr_opt, "reconstruct", fail, raising=False)
     (here / "a.png").write_text("the old one")
     said = scsr("solve", file, "-o", "a.png", "--report", "a.json", "--figure", "f.png", code=1)
-    assert said == f"scsr: error: No picture was written: t{Result.no_samples.sentence[1:]}\n"
+    assert said == f"scsr: error: No picture was written: t{Status.no_samples.sentence[1:]}\n"
     assert sorted(os.listdir(here)) == ["a.json", "a.png", "ramp.npz"] and (here / "a.png").read_text() == "the old one"
     assert json.loads((here / "a.json").read_text())["result"]["name"] == "no_samples"
 
 
 def test_a_picture_that_is_not_finite_is_an_error(scsr, here, monkeypatch, file):
     def lie(spikes, *, scale, **_):
-        return Solution(np.full((96, 160), np.nan, np.float32), (), Result.converged)
+        return Solution(np.full((96, 160), np.nan, np.float32), (), Status.converged)
 
     monkeypatch.setattr(scsr_opt, "reconstruct", lie, raising=False)
     assert "are not finite, so it is not written" in scsr("solve", file, "-o", "a.png", code=2)
@@ -147,7 +147,7 @@ def test_a_picture_that_is_not_finite_is_an_error(scsr, here, monkeypatch, file)
 def test_solve_tells_what_it_learned_of_the_camera(scsr, monkeypatch, file):
     def learn(spikes, *, scale, **_):
         stats = {"iterations": 0, "optics_sigma": 0.527, "gain_spread": 0.0431, "gain_spread_at_rest": 0.0267}
-        return Solution(np.zeros((96, 160), np.float32), (), Result.converged, stats)
+        return Solution(np.zeros((96, 160), np.float32), (), Status.converged, stats)
 
     monkeypatch.setattr(scsr_opt, "reconstruct", learn, raising=False)
     said = scsr("solve", file, "-o", "a.png")

@@ -15,12 +15,12 @@ from skimage import data
 from learned.evaluation import compare
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.costs import cost
-from learned.evaluation.reference_problem import PRIOR, moment, pose
+from learned.evaluation.reference_problem import PRIOR, reference_problem, reference_clip
 from learned.evaluation.stage_report import Comparison, shown_stages
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.training import checkpoint
 from learned.zoo import Optimizer
-from scsr_opt import InputError, Recording, Result
+from scsr_opt import InputError, Recording, Status
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static
 from scsr_opt.solvers import ISTA
@@ -54,7 +54,9 @@ ISTA_HUBER = Optimizer("ista-huber", PRIOR, ISTA(iterations=40))
 @pytest.fixture(scope="module")
 def truth(recording) -> np.ndarray:
     """What one of the models ends with, so that it is right there and nowhere else."""
-    return ISTA_HUBER.solve(pose(moment(recording, scale=2), strength=STRENGTH), keep_images=True).image
+    return ISTA_HUBER.solve(
+        reference_problem(reference_clip(recording, scale=2), strength=STRENGTH), keep_images=True
+    ).image
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,7 @@ def test_the_converged_solution_is_the_end_of_the_scale(compared):
 
 
 def test_residual_and_step_by_hand(compared, recording):
-    posed = pose(moment(recording, scale=2), strength=STRENGTH)
+    posed = reference_problem(reference_clip(recording, scale=2), strength=STRENGTH)
     placed, (step, image) = posed.placed, compared.models[1].pictures[2]
     missed = np.asarray(placed.read(posed.plain.blurred(jnp.asarray(image))) - placed.value, np.float64)
     stage = compared.models[1].stages[1]
@@ -236,4 +238,4 @@ def test_what_cannot_be(recording, plain, monkeypatch):
 def test_a_recording_of_darkness():
     with pytest.raises(InputError) as caught:
         compare_stages(np.zeros((41, 20, 24), np.uint8), ["fista-huber"], scale=2)
-    assert str(caught.value) == Result.no_samples.sentence
+    assert str(caught.value) == Status.no_samples.sentence

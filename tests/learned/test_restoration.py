@@ -10,13 +10,13 @@ import pytest
 from skimage import data
 
 from learned.evaluation.compare import compare_stages
-from learned.evaluation.reference_problem import moment, pose
+from learned.evaluation.reference_problem import reference_problem, reference_clip
 from learned.networks.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
 from learned.training import checkpoint
 from learned.training.data import Example
 from learned.training.registry import trainable
 from learned.zoo import CentredOptimizer, model
-from scsr_opt import InputError, Recording, Result
+from scsr_opt import InputError, Recording, Status
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static
 
@@ -107,7 +107,7 @@ def test_examples_are_solutions(recording, silent):
     )
     first = model("ridge", 2)(recording, scale=2)
     np.testing.assert_array_equal(made["image"], first.image)
-    assert made["strength"] == np.float32(first.stats["strength"])
+    assert made["strength"] == np.float32(first.diagnostics.strength)
     np.testing.assert_array_equal(task.picture(silent.net, jnp.asarray(spikes), jnp.float32(0.6)), first.image)
     np.testing.assert_array_equal(task.preparation.picture(silent.net, made), first.image)
     assert np.isfinite(task.loss(net(), jax.tree.map(jnp.asarray, made)))
@@ -133,17 +133,17 @@ def test_examples_are_turned_as_they_are_drawn():
 
 def test_a_second_solve_about_the_first_solution(recording, silent):
     first, found = model("ridge", 2)(recording, scale=2), silent(recording, scale=2)
-    assert found.result is Result.converged
-    count = found.stats["first_iterations"]
-    assert count == first.stats["iterations"] and found.stats["iterations"] == len(found.stages) > count
+    assert found.status is Status.converged
+    count = found.diagnostics.first_iterations
+    assert count == first.diagnostics.iterations and found.diagnostics.iterations == len(found.stages) > count
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
-    assert {"first solve", "restoring"} <= set(found.stats["seconds"])
-    assert found.stats["strength"] == pytest.approx(2 * first.stats["strength"])
+    assert {"first solve", "restoring"} <= set(found.diagnostics.seconds)
+    assert found.diagnostics.strength == pytest.approx(2 * first.diagnostics.strength)
     # The objective falls but for rounding: f is the small difference of two numbers as large as ½ e, known to a last
     # digit of that before and after a step.
     # It begins with the data term at the first solution.
     objectives = np.array([stage.objective for stage in found.stages[count:]])
-    rounding = 2 * np.spacing(np.float32(0.5 * pose(moment(recording, scale=2)).plain.energy))
+    rounding = 2 * np.spacing(np.float32(0.5 * reference_problem(reference_clip(recording, scale=2)).plain.energy))
     assert rounding < 1e-4 * objectives[0]
     assert objectives[0] <= first.stages[-1].data + rounding
     assert (np.diff(objectives) <= rounding).all()
@@ -181,13 +181,13 @@ def test_it_can_be_compared(recording, silent):
 
 def test_nothing_seen(silent):
     found = silent(np.zeros((21, 8, 8), np.uint8), scale=2)
-    assert found.result is Result.no_samples and not found.image.any()
+    assert found.status is Status.no_samples and not found.image.any()
 
 
 def test_a_network_that_fails_is_said(recording, silent, tmp_path):
     wrong = eqx.tree_at(lambda n: n.output.bias, silent.net, replace_fn=lambda b: b + jnp.nan)
     found = model(saved(tmp_path / "wrong.scsr", wrong), 2)(recording, scale=2)
-    assert found.result is Result.non_finite and np.isfinite(found.image).all()
+    assert found.status is Status.non_finite and np.isfinite(found.image).all()
 
 
 def test_what_is_refused(recording, silent):

@@ -44,6 +44,6 @@ def test_a_shipped_network_sees_more_than_playback(path):
         return float(peak_signal_noise_ratio(truth[inner], np.clip(image, 0, 1)[inner], data_range=1.0))
 
     solution = model(name.replace("_", "-"), scale=scale)(made.spikes, scale=scale, key=50)
-    assert solution.result.good
+    assert solution.status.usable
     playback = np.asarray(BASELINES["tfp_bicubic"](made.spikes, scale=scale, key=50))
     assert score(solution.image) > score(playback) + 2

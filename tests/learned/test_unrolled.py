@@ -20,7 +20,7 @@ from scsr_opt.camera.scenes import Translation
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators import accumulate
-from scsr_opt.pipeline.measurement import Stream, measured
+from scsr_opt.pipeline.clip import Clip, measured
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.solvers import ISTA, Problem
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 class Case(NamedTuple):
-    stream: Stream
+    clip: Clip
     motion: Motion
     truth: jax.Array
     inputs: Inputs
@@ -50,11 +50,11 @@ def recorded(
     )
     rows, columns = (slice(8, 8 + n) for n in SENSOR)
     truth = seen.truth(float(KEY))[16 : 16 + SHAPE[0], 16 : 16 + SHAPE[1]]
-    stream = Stream(seen.spikes[:, rows, columns], KEY, white_rate, None)
+    clip = Clip(seen.spikes[:, rows, columns], KEY, white_rate, None)
     velocity = np.broadcast_to(np.array(drift, np.float32)[:, None, None] / SCALE, (2, *SENSOR))
     motion = Motion.of_velocity(velocity)
-    inputs = make_inputs(stream, scale=SCALE, boundaries=boundaries, motion=motion)
-    return Case(stream, motion, jnp.asarray(truth, jnp.float32), inputs)
+    inputs = make_inputs(clip, scale=SCALE, boundaries=boundaries, motion=motion)
+    return Case(clip, motion, jnp.asarray(truth, jnp.float32), inputs)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def net() -> UnrolledISTA:
 
 
 def samples_of(case: Case):
-    return measured(case.stream, case.motion, scale=SCALE, measuring=Intervals())
+    return measured(case.clip, case.motion, scale=SCALE, measuring=Intervals())
 
 
 def steps_of_the_solver(problem: Problem, start: jax.Array, number: int) -> tuple[list[jax.Array], list[jax.Array]]:
@@ -88,7 +88,7 @@ def steps_of_the_solver(problem: Problem, start: jax.Array, number: int) -> tupl
 def test_without_networks_it_is_ista_to_the_last_bit(case: Case, boundaries: tuple[int, ...]):
     """T = 1, b = 1, all weights 1, N the identity: one step of the solver for a prior of strength 0. T = 3 without
     momentum: three."""
-    inputs = make_inputs(case.stream, scale=SCALE, boundaries=boundaries, motion=case.motion)
+    inputs = make_inputs(case.clip, scale=SCALE, boundaries=boundaries, motion=case.motion)
     plain = accumulate(samples_of(case).placed)
     problem = Problem(plain, HuberTotalVariation(), jnp.zeros(()))
     steps, images = steps_of_the_solver(problem, inputs.image, 3)
@@ -224,7 +224,7 @@ def test_sizes_that_cannot_be(changes, message):
 
 
 def test_calls_that_cannot_be(case: Case, net: UnrolledISTA):
-    other = make_inputs(case.stream, scale=SCALE, motion=case.motion)
+    other = make_inputs(case.clip, scale=SCALE, motion=case.motion)
     with pytest.raises(InputError, match="samples in 1 groups, but this network has weights for 2"):
         net(other)
     with pytest.raises(InputError, match=r"start has shape \(3, 3\)"):

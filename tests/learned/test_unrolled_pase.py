@@ -17,7 +17,7 @@ from scsr_opt.camera import simulate
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
-from scsr_opt.pipeline.measurement import Stream
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.solvers import ISTA, Problem
 from scsr_opt.solvers.problem import lipschitz_bound
@@ -35,11 +35,11 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 @pytest.fixture(scope="module")
-def stream() -> Stream:
+def clip() -> Clip:
     still = data.camera()[100:164, 200:264].astype(np.float32) / 255
     seen = simulate(Translation(still, DRIFT, key=KEY), scale=SCALE, frames=21, seed=0)
     rows, columns = (slice(8, 8 + n) for n in SENSOR)
-    return Stream(seen.spikes[:, rows, columns], KEY, 0.6, None)
+    return Clip(seen.spikes[:, rows, columns], KEY, 0.6, None)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +54,8 @@ def motion() -> Motion:
 
 
 @pytest.fixture(scope="module")
-def inputs(stream: Stream, motion: Motion) -> SpikeInputs:
-    return make_spike_inputs(stream, scale=SCALE, config=TINY, motion=motion)
+def inputs(clip: Clip, motion: Motion) -> SpikeInputs:
+    return make_spike_inputs(clip, scale=SCALE, config=TINY, motion=motion)
 
 
 @pytest.fixture(scope="module")
@@ -145,12 +145,12 @@ def test_batches_in_half_precision(net: UnrolledPASE, inputs: SpikeInputs, truth
     np.testing.assert_allclose(losses, jnp.full(2, wanted), atol=1e-3)
 
 
-def test_from_spikes(stream: Stream, motion: Motion):
+def test_from_spikes(clip: Clip, motion: Motion):
     """As the trainer has it; at scale 1, and a recording that is too short."""
     sizes = {"stages": 1, "channels": 2, "blocks": 0, "moments": 3, "length": 5, "branches": [1], "encoder_channels": 2}
     task = trainable("unrolled_pase", 1, sizes)
     model = task.build(jax.random.key(0))
-    spikes, rate = jnp.asarray(stream.spikes, jnp.uint8), jnp.asarray(0.6)
+    spikes, rate = jnp.asarray(clip.spikes, jnp.uint8), jnp.asarray(0.6)
     found = task.picture(model, spikes, rate)
     assert found.shape == SENSOR and np.all(np.isfinite(found))
     with pytest.raises(InputError, match="has 4 frames and a spike block 5"):

@@ -15,7 +15,7 @@ from skimage import data
 import learned
 from learned import zoo
 from learned.evaluation import inference, reference_problem
-from learned.evaluation.reference_problem import Posed, moment, pose, read
+from learned.evaluation.reference_problem import ReferenceProblem, reference_problem, read, reference_clip
 from learned.networks.restoration import RestorationConfig, RestorationNet
 from learned.networks.spikesr import SpikeSRConfig, SpikeSRNet
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
@@ -23,7 +23,7 @@ from learned.networks.unrolled_ista_pase import UnrolledPASE, UnrolledPASEConfig
 from learned.networks.velocity import VelocityNet
 from learned.training import checkpoint
 from learned.zoo import Network, Optimizer, model, names
-from scsr_opt import InputError, Recording, Result, reconstruct
+from scsr_opt import InputError, Recording, Status, reconstruct
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static
 from scsr_opt.motion.trajectory import Motion
@@ -50,8 +50,8 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def posed(recording) -> Posed:
-    return pose(moment(recording, scale=2))
+def posed(recording) -> ReferenceProblem:
+    return reference_problem(reference_clip(recording, scale=2))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_the_default_rung_is_reconstruct(recording, scale, name):
 
 def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
     """The same strength, the same objective at its picture, and from there nothing is left to do."""
-    assert float(posed.strength) == solution.stats["strength"]
+    assert float(posed.strength) == solution.diagnostics.strength
     reading = read(posed, jnp.asarray(solution.image))
     # The same sums in another program: rounding of float32 in a sum of some thousand terms of one sign.
     assert float(reading.data) == pytest.approx(solution.stages[-1].data, rel=1e-5)
@@ -120,9 +120,9 @@ def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
     rung = model("fista-huber", 2)
     assert isinstance(rung, Optimizer)
     again = reconstruct(
-        posed.moment.recording,
+        posed.clip.recording,
         scale=2,
-        key=posed.moment.key,
+        key=posed.clip.key,
         strength=float(posed.strength),
         prior=reference_problem.PRIOR,
         solver=FISTA(),
@@ -140,7 +140,7 @@ def test_motion_during_exposures_is_in_the_measure(monkeypatch):
     dim = (rng.random((41, 20, 24)) < 0.08).astype(np.uint8)  # long exposures
     motion = Motion.of_velocity(np.broadcast_to(np.array([0.4, -0.6], np.float32)[:, None, None], (2, 20, 24)))
     monkeypatch.setattr(preparation, "motion_in", lambda *_: motion)
-    posed = pose(moment(dim, scale=2), strength=0.002)
+    posed = reference_problem(reference_clip(dim, scale=2), strength=0.002)
     assert posed.placed.finest > 1
     for image in (posed.first, jnp.asarray(rng.random((40, 48)), jnp.float32)):
         missed = np.asarray(posed.placed.read(posed.plain.blurred(image)) - posed.placed.value, np.float64)
@@ -153,7 +153,7 @@ def test_motion_during_exposures_is_in_the_measure(monkeypatch):
 def test_a_network_of_identities_stays_where_it_starts(shelf, recording, posed, solution):
     rung = network("spikesr-small")
     found = rung.solve(posed, start=solution.image, keep_images=True)
-    assert found.result is Result.converged and len(found.stages) == 2
+    assert found.status is Status.converged and len(found.stages) == 2
     for stage in found.stages:
         np.testing.assert_array_equal(stage.image, solution.image)
         np.testing.assert_array_equal(stage.gradient_step, solution.image)
@@ -163,10 +163,10 @@ def test_a_network_of_identities_stays_where_it_starts(shelf, recording, posed, 
         # What FISTA ended with bounds it but for the dual steps that it saved.
         assert stage.residual < 5 * max(solution.stages[-1].residual, 1e-4)
     own = rung(recording, scale=2)
-    assert own.result is Result.iterations_exhausted
+    assert own.status is Status.iterations_exhausted
     assert own.stages[-1].objective > 2 * solution.stages[-1].objective
     assert own.stages[-1].residual > 100 * found.stages[-1].residual
-    assert own.stats["iterations"] == 2 and own.stats["parameters"] > 0
+    assert own.diagnostics.iterations == 2 and own.diagnostics.parameters > 0
 
 
 def test_an_unrolled_iteration_reports_the_solvers_step_size(shelf, posed):
@@ -181,7 +181,7 @@ def test_an_unrolled_iteration_reports_the_solvers_step_size(shelf, posed):
 
 def test_encoded_spikes_are_measured_by_the_same_problem(shelf, posed, solution):
     found = model("unrolled-pase", 2).solve(posed, start=solution.image, keep_images=True)
-    assert found.result is Result.iterations_exhausted and len(found.stages) == 2
+    assert found.status is Status.iterations_exhausted and len(found.stages) == 2
     first = found.stages[0]
     assert first.image is not None and np.linalg.norm(first.image - solution.image) > 0
     assert first.objective > solution.stages[-1].objective  # it goes to what its encoder measured
@@ -210,7 +210,7 @@ def test_functions_for_the_scoreboard(shelf, recording):
     np.testing.assert_array_equal(found.image, network("spikesr-small")(spikes, scale=2, record=False).image)
     assert learned.unrolled(spikes, scale=2, key=20, white_rate=0.6).image.shape == (40, 48)
     centred = learned.ridge_centred(spikes, scale=2, key=20, white_rate=0.6)
-    assert centred.result.good and centred.stats["first_iterations"] > 0
+    assert centred.status.usable and centred.diagnostics.first_iterations > 0
     with pytest.raises(InputError, match="no weights of spikesr-full for scale 2"):
         learned.spikesr_full(spikes, scale=2)
 
@@ -224,8 +224,8 @@ def test_a_recording_of_darkness(shelf):
     dark = np.zeros((41, 20, 24), np.uint8)
     for name in ("fista-huber", "spikesr-small"):
         found = model(name, 2)(dark, scale=2)
-        assert found.result is Result.no_samples and found.image.shape == (40, 48) and not found.image.any()
-    assert learned.spikesr_small(dark, scale=2).result is Result.no_samples
+        assert found.status is Status.no_samples and found.image.shape == (40, 48) and not found.image.any()
+    assert learned.spikesr_small(dark, scale=2).status is Status.no_samples
 
 
 def test_networks_see_the_nearest_good_pixel_in_the_place_of_a_bad_one(recording):
@@ -234,7 +234,7 @@ def test_networks_see_the_nearest_good_pixel_in_the_place_of_a_bad_one(recording
     spikes = np.array(recording.spikes)
     spikes[:, bad] = 1
     marked = Recording.from_array(spikes, bad_pixels=bad)
-    seen = moment(marked, scale=2).seen
+    seen = reference_clip(marked, scale=2).seen
     np.testing.assert_array_equal(seen[:, ~bad], spikes[:, ~bad])
     neighbours = [spikes[:, row, column] for row, column in ((2, 0), (3, 1))]
     assert any((seen[:, 3, 0] == other).all() for other in neighbours)
@@ -245,7 +245,7 @@ def test_a_picture_that_is_not_finite_is_not_handed_on(tmp_path, shelf, posed):
     broken = eqx.tree_at(lambda n: n.log_factors, net, jnp.asarray([0.0, jnp.nan]))
     checkpoint.save(tmp_path / "broken.scsr", broken, card)
     found = model(str(tmp_path / "broken.scsr"), 2).solve(posed)
-    assert found.result is Result.non_finite and np.isfinite(found.image).all() and found.image.any()
+    assert found.status is Status.non_finite and np.isfinite(found.image).all() and found.image.any()
 
 
 def test_what_cannot_be(shelf, tmp_path, recording, posed):
@@ -266,6 +266,6 @@ def test_what_cannot_be(shelf, tmp_path, recording, posed):
         with pytest.raises(InputError, match=r"start has shape \(20, 24\)"):
             model(name, 2).solve(posed, start=np.zeros((20, 24), np.float32))
     with pytest.raises(InputError, match="white_rate"):
-        moment(recording, scale=2, white_rate=-1)
+        reference_clip(recording, scale=2, white_rate=-1)
     with pytest.raises(InputError, match="strength"):
-        pose(moment(recording, scale=2), strength=-1)
+        reference_problem(reference_clip(recording, scale=2), strength=-1)

@@ -9,7 +9,7 @@ from skimage import color, data
 
 from scsr_opt.camera.scenes import Affine, Box, MovingObject, Static, Translation, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
-from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, stretches
 
 SCALE = 2
 KEY = 50
@@ -42,11 +42,11 @@ def _recording(name: str) -> Simulation:
 
 
 @cache
-def _pictures(name: str) -> Stretches:
+def _pictures(name: str) -> MotionFrames:
     return _central(stretches(_recording(name).spikes, key=KEY), 17)
 
 
-def _central(some: Stretches, number: int) -> Stretches:
+def _central(some: MotionFrames, number: int) -> MotionFrames:
     """The `number` pictures in the middle: with always the same number, everything is compiled only once."""
     first = (some.after.shape[0] - number) // 2
     part = slice(first, first + number)

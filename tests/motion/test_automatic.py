@@ -8,7 +8,7 @@ from scsr_opt.camera.scenes import Box, MovingObject, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.motion import Automatic, Motion, trajectory_of
 from scsr_opt.motion.estimators import automatic
-from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, stretches
 from scsr_opt.motion.trajectory import Layers
 
 SCALE, KEY = 2, 50
@@ -17,7 +17,7 @@ SHAPE = (140, 160)  # sensor pixels
 
 
 @pytest.fixture(scope="module")
-def small() -> tuple[Simulation, Stretches]:
+def small() -> tuple[Simulation, MotionFrames]:
     """An object of 30 sensor pixels a side in the middle of a still wall."""
     wall = data.gravel()[40 : 40 + SCALE * SHAPE[0], 40 : 40 + SCALE * SHAPE[1]] / 255
     texture = color.rgb2gray(data.coffee())[100:200, 100:200]

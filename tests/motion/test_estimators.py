@@ -19,7 +19,7 @@ from scsr_opt.motion import (
     estimate_motion,
     given,
 )
-from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, stretches
 
 EVERY = [Still(), Global(), Global(affine=False), Dense(), Automatic(), PhaseCorrelation(), ILK(), TVL1()]
 MOVING = EVERY[1:]
@@ -216,7 +216,7 @@ def test_a_velocity_handed_in():
 
 def test_one_picture_cannot_be_compared(pictures):
     whole = pictures("static")
-    one = Stretches(whole.picture[:1], whole.after[:1])
+    one = MotionFrames(whole.picture[:1], whole.after[:1])
     for estimator in (PhaseCorrelation(), ILK(), TVL1()):
         with pytest.raises(InputError, match="at least two"):
             estimator(one)

@@ -11,7 +11,7 @@ from scsr_opt.camera.scenes import Box, MovingObject
 from scsr_opt.motion import Automatic, Motion, estimate_motion, trajectory_of
 from scsr_opt.motion.estimators import layered
 from scsr_opt.motion.estimators.automatic import comparable
-from scsr_opt.motion.estimators.frames import Stretches
+from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.trajectory import SPACING, Layers
 from scsr_opt.pipeline.measurement import Stream, measured
 
@@ -32,7 +32,7 @@ def before_a_background(depth: tuple[int, int]) -> Motion:
 def test_rest_mismatches_as_a_motion_by_nothing():
     """The layer at rest is compared without look-ups."""
     picture = np.random.default_rng(0).random((9, 30, 40), np.float32)
-    pictures = Stretches(jnp.asarray(picture), jnp.linspace(-40.0, 40.0, 9))
+    pictures = MotionFrames(jnp.asarray(picture), jnp.linspace(-40.0, 40.0, 9))
     hardly = Motion.of_velocity(np.full((2, 30, 40), 1e-30, np.float32))
     found, expected = (layered._mismatch(pictures, motion, 0.01) for motion in (Motion.none(30, 40), hardly))
     inside = (slice(8, -8), slice(8, -8))  # what moves at all leaves the border
@@ -164,6 +164,6 @@ def test_an_object_is_found_with_its_motion_its_outline_and_its_place_in_front(s
 
 
 def test_only_layers_have_labels():
-    pictures = Stretches(jnp.zeros((3, 8, 8)), jnp.arange(3.0))
+    pictures = MotionFrames(jnp.zeros((3, 8, 8)), jnp.arange(3.0))
     still = Motion.none(8, 8)
     assert layered.relabelled(pictures, still) is still

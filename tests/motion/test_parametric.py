@@ -9,7 +9,7 @@ from skimage import data
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion.estimators import parametric as module
-from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, stretches
 from scsr_opt.motion.estimators.parametric import generators, parametric
 from scsr_opt.motion.inversion import bilinear, inverse
 
@@ -17,7 +17,7 @@ HEIGHT, WIDTH = 60, 80
 AFTER = np.linspace(-48, 48, 17).astype(np.float32)
 
 
-def drawn(velocity: np.ndarray, acceleration: np.ndarray | None = None, noise: float = 0.003) -> Stretches:
+def drawn(velocity: np.ndarray, acceleration: np.ndarray | None = None, noise: float = 0.003) -> MotionFrames:
     """Pictures of a hand-made texture under a motion, without a sensor."""
     rng = np.random.default_rng(5)
     rows, columns = np.mgrid[0 : HEIGHT + 60, 0 : WIDTH + 60]
@@ -36,7 +36,7 @@ def drawn(velocity: np.ndarray, acceleration: np.ndarray | None = None, noise: f
     origin = inverse(jnp.asarray(velocity, jnp.float32), jnp.asarray(acceleration, jnp.float32), jnp.asarray(AFTER))
     shown = np.stack([np.asarray(bilinear(key[None], q[0] + 30, q[1] + 30)[0]) for q in origin])
     shown += rng.normal(0, noise, shown.shape)
-    return Stretches(jnp.asarray(shown, jnp.float32), jnp.asarray(AFTER))
+    return MotionFrames(jnp.asarray(shown, jnp.float32), jnp.asarray(AFTER))
 
 
 def fields() -> np.ndarray:
@@ -128,7 +128,7 @@ def test_a_region_has_a_motion_of_its_own():
     region[15:45, 25:50] = True
     # A window onto what moves, with nothing passing its edge but the window itself.
     both = np.where(region, np.asarray(drawn(moving).picture), np.asarray(drawn(still).picture))
-    pictures = Stretches(jnp.asarray(both), jnp.asarray(AFTER))
+    pictures = MotionFrames(jnp.asarray(both), jnp.asarray(AFTER))
     start = module.Motion.of_velocity(moving + 0.05)
     found = parametric(pictures, where=region, start=start)
     # The edges of the window stand still and pull; a tenth of the speed is what they may do.
@@ -136,7 +136,7 @@ def test_a_region_has_a_motion_of_its_own():
 
 
 def test_the_start_may_vary_over_the_picture():
-    plain = Stretches(jnp.full((17, HEIGHT, WIDTH), 0.5, jnp.float32), jnp.asarray(AFTER))  # says nothing else
+    plain = MotionFrames(jnp.full((17, HEIGHT, WIDTH), 0.5, jnp.float32), jnp.asarray(AFTER))  # says nothing else
     turning = 0.01 * (fields()[3] - fields()[4]) + 0.02 * fields()[0]
     region = np.zeros((HEIGHT, WIDTH), bool)
     region[15:45, 25:50] = True
@@ -162,7 +162,7 @@ def test_compiled_once_for_all_models_and_regions_of_a_size():
 
 @pytest.mark.parametrize("shape", [(2, 2), (2, 30), (7, 3)])
 def test_tiny_pictures_and_pictures_without_texture(shape):
-    flat = Stretches(jnp.full((5, *shape), 0.5), jnp.arange(-2.0, 3.0))
+    flat = MotionFrames(jnp.full((5, *shape), 0.5), jnp.arange(-2.0, 3.0))
     motion = parametric(flat)
     assert motion.velocity.shape == (2, *shape) and np.isfinite(motion.velocity).all()
     assert not motion.velocity.any()
@@ -193,7 +193,7 @@ def test_points_are_of_few_numbers_and_spread_evenly(side, number):
     assert counts.min() > 0.7 * used / 16
 
 
-def waving() -> tuple[Stretches, module.Motion]:
+def waving() -> tuple[MotionFrames, module.Motion]:
     """Pictures of a motion that is not affine, and a start: weights that follow slowly settle which parts of it the fit
     serves, so that each update is a large share of the one before."""
     velocity = np.zeros((2, HEIGHT, WIDTH))

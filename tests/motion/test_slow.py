@@ -8,14 +8,14 @@ from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion import Automatic, Motion, estimate_motion
 from scsr_opt.motion.estimators.evidence import TOLERATED_AT_REST, at_rest, counts_agree
-from scsr_opt.motion.estimators.frames import Stretches, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, stretches
 from scsr_opt.motion.estimators.parametric import moves_as_one
 
 SCALE = 2
 PHOTONS = {0.6: 1000.0, 0.1: 25.0}
 
 
-def seen(speed: float, frames: int, white_rate: float = 0.6) -> tuple[np.ndarray, Stretches]:
+def seen(speed: float, frames: int, white_rate: float = 0.6) -> tuple[np.ndarray, MotionFrames]:
     """Spikes of a pan of so many sensor pixels per frame, or of what rests, and their short pictures."""
     picture = data.camera()[100:300, 100:300] / 255
     scene = Translation(picture, (0.6 * SCALE * speed, -0.8 * SCALE * speed)) if speed else Static(picture)

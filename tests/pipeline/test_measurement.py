@@ -11,7 +11,7 @@ from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.operators.sampling import moments
-from scsr_opt.pipeline.measurement import _POSITIONS, _REACHES, Measurements, _longest_first, measured, stream_around
+from scsr_opt.pipeline.measurement import _POSITIONS, _REACHES, Measurements, _longest_first, clip_around, measured
 
 HEIGHT, WIDTH, FRAMES = 24, 32, 65
 
@@ -25,7 +25,7 @@ def spikes() -> np.ndarray:
 
 
 def measurements(spikes: np.ndarray, speed: np.ndarray | float, **options) -> Measurements:
-    _, stream = stream_around(Recording.from_array(spikes), key=32, frames=FRAMES, white_rate=0.6)
+    _, stream = clip_around(Recording.from_array(spikes), key=32, frames=FRAMES, white_rate=0.6)
     velocity = np.zeros((2, HEIGHT, WIDTH), np.float32)
     velocity[1] = speed
     return measured(stream, Motion.of_velocity(velocity), scale=2, measuring=Intervals(), **options)
@@ -82,7 +82,7 @@ def seen_until(frame: int) -> Trajectory:
 @pytest.mark.parametrize("how", ["hidden", "out of the picture"])
 def test_intervals_are_not_merged_while_what_they_see_is_lost(how):
     """Saturated all the time: merged by fours, but for the four frames in which the pixel is hidden, or sees beyond."""
-    _, stream = stream_around(
+    _, stream = clip_around(
         Recording.from_array(np.ones((FRAMES, HEIGHT, WIDTH), np.uint8)), key=32, frames=FRAMES, white_rate=1.0
     )
     # The scene moves a little, so that nothing else is merged.

@@ -3,14 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scsr_opt.pipeline.preparation import Prepared, prepare
 from skimage import data
 
-from scsr_opt import Result
+from scsr_opt import Status
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.operators import accumulate, with_exposure
 from scsr_opt.pipeline import outer_loop
-from scsr_opt.pipeline.preparation import Prepared, prepare
 from scsr_opt.pipeline.reconstruct import solve
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import NoProgress
@@ -48,7 +48,7 @@ def exact(problem: Prepared, image: np.ndarray) -> float:
 def least(spikes) -> float:
     long = prepared(spikes, FISTA(iterations=3000, tolerance=1e-6))
     found = solve(long)
-    assert found.result is Result.converged and found.stats["positions"] >= 3
+    assert found.status is Status.converged and found.diagnostics.positions >= 3
     # Corrections are what the minimum asks for: without them the picture is another one.
     plain = accumulate(long.taken.placed)
     without = run(FISTA(), Problem(plain, long.rounds.prior, long.rounds.strength), long.image).image
@@ -63,7 +63,7 @@ def test_every_solver_ends_at_the_minimum_of_the_exact_problem(make, spikes, lea
     above = exact(problem, found.image) / least - 1
     print(f"{make.__name__}: {100 * above:.4f} % above, {len(found.stages)} iterations")
     # A thousandth is what skipping work may cost. JaxoptFISTA and NonlinearCG end at three times the tolerance.
-    assert found.result is Result.converged and -1e-5 < above < 1e-3
+    assert found.status is Status.converged and -1e-5 < above < 1e-3
 
 
 @pytest.mark.parametrize("make", [FISTA, ISTA, ADMM, CondatVu, ChambollePock])

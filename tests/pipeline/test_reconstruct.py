@@ -7,7 +7,7 @@ import pytest
 from skimage import data
 from skimage.io import imread
 
-from scsr_opt import InputError, Recording, Result, reconstruct
+from scsr_opt import InputError, Recording, Status, reconstruct
 from scsr_opt.camera import Sensor, Windows, read_recording, simulate, tfp
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
@@ -33,7 +33,7 @@ def test_every_scale_beats_enlarged_playback(scale):
     solution = reconstruct(made.spikes, scale=scale)
     height, width = made.spikes.shape[1:]
     assert solution.image.shape == (scale * height, scale * width) and solution.image.dtype == np.float32
-    assert solution.result is Result.converged and solution.velocity is not None
+    assert solution.status is Status.converged and solution.velocity is not None
     truth = made.truth(30)
     border = 4 * scale
     playback = bicubic(tfp(made.spikes, 30, window=21), scale)
@@ -47,7 +47,7 @@ def test_a_scene_at_rest_has_no_motion_and_few_samples():
     made = simulate(Static(PICTURE), scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=1)
     solution = reconstruct(made.spikes, scale=2)
     assert solution.velocity is not None and not solution.velocity.any()
-    assert solution.stats["samples"] <= 3 * made.spikes[0].size and solution.stats["positions"] == 1
+    assert solution.diagnostics.samples <= 3 * made.spikes[0].size and solution.diagnostics.positions == 1
 
 
 def test_an_object_before_a_background():
@@ -99,7 +99,7 @@ def test_the_strength_follows_noise_and_frames():
     def strength(frames: int, photons: float) -> float:
         scene = Translation(PICTURE, velocity=(0.1, 0.2), key=frames // 2)
         made = simulate(scene, scale=2, frames=frames, sensor=Sensor(photons=photons), seed=4)
-        return reconstruct(made.spikes, scale=2, velocity=(0.05, 0.1), solver=FISTA(1)).stats["strength"]
+        return reconstruct(made.spikes, scale=2, velocity=(0.05, 0.1), solver=FISTA(1)).diagnostics.strength
 
     assert strength(101, 30.0) > 1.2 * strength(101, 1000.0)
     assert strength(25, 1000.0) > 1.5 * strength(101, 1000.0)
@@ -119,7 +119,7 @@ def test_stages_are_numbered_through_and_carry_pictures_when_asked():
     assert all(stage.objective == stage.data + stage.prior for stage in solution.stages)
     np.testing.assert_array_equal(solution.stages[-1].image, solution.image)
     assert solution.stages[-1].gradient_step is not None
-    assert solution.result is Result.iterations_exhausted
+    assert solution.status is Status.iterations_exhausted
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (5, 3, 5), (40, 1, 30), (101, 1, 1), (2, 4, 4)])
@@ -129,7 +129,7 @@ def test_blank_and_tiny_recordings(shape, value):
     solution = reconstruct(np.full(shape, value, np.uint8), scale=3)
     assert solution.image.shape == (3 * shape[1], 3 * shape[2]) and np.isfinite(solution.image).all()
     if value == 0:
-        assert solution.result is Result.no_samples and not solution.result.good
+        assert solution.status is Status.no_samples and not solution.status.usable
     else:
         np.testing.assert_allclose(solution.image, 1 / 0.6, rtol=1e-3)
 
@@ -137,13 +137,13 @@ def test_blank_and_tiny_recordings(shape, value):
 def test_nothing_left_when_every_pixel_is_bad():
     spikes = moving(2).spikes
     solution = reconstruct(spikes, scale=2, bad_pixels=np.ones(spikes.shape[1:], bool))
-    assert solution.result is Result.no_samples
+    assert solution.status is Status.no_samples
 
 
 def test_nothing_left_when_all_is_said_to_have_flown_away():
     spikes = moving(2).spikes
     solution = reconstruct(spikes, scale=2, velocity=(1e6, 1e6))
-    assert solution.result is Result.no_samples
+    assert solution.status is Status.no_samples
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (3, 6), (5, 7)])
@@ -201,10 +201,10 @@ def test_the_share_of_saturated_pixels_is_known():
     """Where a pixel fires in every frame the picture is a lower bound, which bad pixels say nothing of."""
     spikes = (np.arange(31)[:, None, None] % 2 == np.zeros((8, 10), int)).astype(np.uint8)
     spikes[:, :, 5:] = 1
-    assert reconstruct(spikes, scale=1).stats["saturated"] == 0.5
+    assert reconstruct(spikes, scale=1).diagnostics.saturated == 0.5
     bad = np.zeros((8, 10), bool)
     bad[:, 5:] = True
-    assert reconstruct(spikes, scale=1, bad_pixels=bad).stats["saturated"] == 0
+    assert reconstruct(spikes, scale=1, bad_pixels=bad).diagnostics.saturated == 0
 
 
 @pytest.mark.slow
@@ -222,10 +222,10 @@ def test_noise_is_not_taken_for_motion(key):
     """Spikes drawn anew in every frame contradict any motion; none of the richer ones may be believed for that."""
     spikes = (np.random.default_rng(0).random((60, 24, 30)) < 0.3).astype(np.uint8)
     solution = reconstruct(spikes, scale=2, key=key)
-    assert solution.stats["speed_max"] < 0.5  # it was 29 before motions had to explain something
+    assert solution.diagnostics.speed_max < 0.5  # it was 29 before motions had to explain something
     assert solution.image.mean() == pytest.approx(0.5, rel=0.1)
 
 
 def test_samples_that_all_leave_the_picture_are_none():
     solution = reconstruct(moving(2).spikes, scale=2, velocity=(1e6, 1e6))
-    assert solution.result is Result.no_samples
+    assert solution.status is Status.no_samples

@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 import pytest
+import scsr_opt.pipeline.preparation
 from skimage import data
 
-import scsr_opt.pipeline.preparation
-from scsr_opt import InputError, Result, reconstruct
+from scsr_opt import InputError, Status, reconstruct
 from scsr_opt.calibration.gain import FIXED_PATTERN
 from scsr_opt.camera import Intervals, Noise, Sensor, Simulation, Windows, simulate
 from scsr_opt.camera.scenes import Static, Translation
@@ -64,7 +64,7 @@ def test_windows_are_counts():
     """A scene at rest at sensor resolution without a prior: the picture is the count of all whole windows."""
     spikes = simulate(Static(PICTURE), scale=2, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=1).spikes
     solution = reconstruct(spikes, scale=1, velocity=(0.0, 0.0), samples=Windows(9), strength=0)
-    assert solution.stats["samples"] == 4 * spikes[0].size
+    assert solution.diagnostics.samples == 4 * spikes[0].size
     assert solution.plan is not None and (solution.plan.merged_for == 1).all()
     assert "instead" not in "".join(solution.plan.lines())
     np.testing.assert_allclose(solution.image, spikes[:36].mean(0) / 0.6, atol=1e-3)
@@ -103,7 +103,7 @@ def test_robust_losses_overcome_hot_pixels(made, loss, gained):
     """
     hot = made.spikes.copy()
     hot[:, 3::8, 5::8] = 1
-    strength = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY).stats["strength"]
+    strength = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY).diagnostics.strength
     squares, robust = (
         reconstruct(hot, scale=SCALE, velocity=VELOCITY, robust=r, strength=strength, gain=None).image
         for r in (None, loss)
@@ -115,8 +115,8 @@ def test_a_loss_that_never_leaves_the_square_changes_nothing(made):
     """At rest there are no other corrections: the rounds solve the same problem again and end where it is solved."""
     still = {"scale": 1, "velocity": (0.0, 0.0)}
     plain = reconstruct(made.spikes, **still)
-    same = reconstruct(made.spikes, robust=Huber(1e6), strength=plain.stats["strength"], **still)
-    assert plain.stats["positions"] == same.stats["positions"] == 1
+    same = reconstruct(made.spikes, robust=Huber(1e6), strength=plain.diagnostics.strength, **still)
+    assert plain.diagnostics.positions == same.diagnostics.positions == 1
     # Two ends within the tolerance of 1e-4 per step; convergence adds a factor of ten.
     np.testing.assert_allclose(same.image, plain.image, atol=3e-3)
 
@@ -135,8 +135,8 @@ def test_gains_that_are_known_or_found():
     np.testing.assert_array_equal(usual.image, found.image)
     assert score(made, known.image) > score(made, ignored.image) + 0.7
     assert score(made, found.image) > score(made, ignored.image) + 0.2
-    assert found.stats["strength"] < 0.8 * ignored.stats["strength"]  # validated again, without the pattern
-    assert 0.03 < found.stats["gain_spread"] < 0.1 and "gain_spread" not in known.stats
+    assert found.diagnostics.strength < 0.8 * ignored.diagnostics.strength  # validated again, without the pattern
+    assert 0.03 < found.diagnostics.gain_spread < 0.1 and "gain_spread" not in known.stats
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
 
 
@@ -163,7 +163,7 @@ def test_gains_behind_a_robust_fit_do_not_mislead():
     found, ignored = (
         reconstruct(made.spikes, scale=2, velocity=(0.05, 0.12), robust=Huber(), gain=gain) for gain in ("blind", None)
     )
-    assert found.stats["gain_spread"] > FIXED_PATTERN
+    assert found.diagnostics.gain_spread > FIXED_PATTERN
     assert psnr(made.truth(50.0), found.image, 8) > psnr(made.truth(50.0), ignored.image, 8) - 0.1
 
 
@@ -187,7 +187,7 @@ def test_gains_at_rest_are_for_what_rests(made, monkeypatch):
 def test_gains_that_do_not_spread_are_left_alone(made, usual):
     without = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, gain=None)
     np.testing.assert_array_equal(usual.image, without.image)
-    assert usual.stats["gain_spread"] < FIXED_PATTERN
+    assert usual.diagnostics.gain_spread < FIXED_PATTERN
 
 
 def test_a_pattern_that_some_pixels_show_is_looked_for_in_all(monkeypatch, made, usual):
@@ -203,7 +203,7 @@ def test_a_pattern_that_some_pixels_show_is_looked_for_in_all(monkeypatch, made,
     monkeypatch.setattr(module, "spread_of", spread)
     monkeypatch.setattr(module, "_LOOKED_AT", 20)
     found = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY)
-    assert looked_at[0] < looked_at[1] == 24 * 24 and found.stats["gain_spread"] == 0.001
+    assert looked_at[0] < looked_at[1] == 24 * 24 and found.diagnostics.gain_spread == 0.001
     np.testing.assert_array_equal(found.image, usual.image)
 
 
@@ -221,9 +221,9 @@ def test_a_lens_that_is_estimated():
     without, estimated = (
         reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, optics=optics) for optics in (None, "estimate")
     )
-    assert estimated.stats["optics_sigma"] == pytest.approx(0.8, abs=0.25)  # the grid's spacing
+    assert estimated.diagnostics.optics_sigma == pytest.approx(0.8, abs=0.25)  # the grid's spacing
     assert score(made, estimated.image) > score(made, without.image) + 1
-    given = Blur.gaussian(without.image.shape, estimated.stats["optics_sigma"] * SCALE)
+    given = Blur.gaussian(without.image.shape, estimated.diagnostics.optics_sigma * SCALE)
     same = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, optics=given)
     np.testing.assert_array_equal(same.image, estimated.image)
 
@@ -255,10 +255,10 @@ def test_refining_the_motion(made):
 
 def test_going_on_from_a_solution(made, usual):
     again = reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, state=usual.state)
-    assert again.result is Result.converged and len(again.stages) < len(usual.stages) / 2
+    assert again.status is Status.converged and len(again.stages) < len(usual.stages) / 2
     # Both ends are within a few steps of the tolerance of the same minimiser. The objective is flat there: it differs
     # by the square of that, and by rounding, which processors do differently (measured: 0.5 %, 2e-7 and 2.4e-6 of it).
-    assert again.stats["objective"] <= usual.stats["objective"] * (1 + 1e-5)
+    assert again.diagnostics.objective <= usual.diagnostics.objective * (1 + 1e-5)
     assert np.linalg.norm(again.image - usual.image) < 0.01 * np.linalg.norm(usual.image)
 
 
@@ -269,16 +269,16 @@ def test_going_on_between_rest_and_motion(made):
     assert moving.state.step_size.shape == moving.image.shape and resting.state.step_size.shape == ()
     for one, other, velocity in ((moving, resting, VELOCITY), (resting, moving, (0.0, 0.0))):
         again = reconstruct(made.spikes, velocity=velocity, state=other.state, **options)
-        assert again.result is Result.converged
+        assert again.status is Status.converged
         assert np.linalg.norm(again.image - one.image) < 0.01 * np.linalg.norm(one.image)
 
 
 def test_the_limit_of_iterations_holds_for_all_together(made):
     few = {"scale": SCALE, "velocity": VELOCITY, "solver": FISTA(8, tolerance=0), "strength": 1e-3}
     first = reconstruct(made.spikes, **few)
-    assert first.stats["positions"] > 1 and len(first.stages) == 8
+    assert first.diagnostics.positions > 1 and len(first.stages) == 8
     second = reconstruct(made.spikes, state=first.state, **few)
-    assert len(second.stages) == 8 and second.stats["objective"] < first.stats["objective"]
+    assert len(second.stages) == 8 and second.diagnostics.objective < first.diagnostics.objective
 
 
 @pytest.mark.parametrize(
@@ -307,10 +307,10 @@ def test_other_solvers_find_the_same_picture(made, solver):
         reconstruct(made.spikes, scale=SCALE, velocity=VELOCITY, prior=prior, strength=0.002, solver=s)
         for s in (FISTA(), solver)
     )
-    assert other.result.good
+    assert other.status.usable
     # All stop within their tolerance, a few times 1e-4 in the picture's norm for each step (measured: 0.2 %).
     assert np.linalg.norm(fista.image - other.image) < 0.01 * np.linalg.norm(fista.image)
-    assert other.stats["objective"] == pytest.approx(fista.stats["objective"], rel=1e-3)
+    assert other.diagnostics.objective == pytest.approx(fista.diagnostics.objective, rel=1e-3)
 
 
 def test_bounds_hold(made, usual):
@@ -353,7 +353,7 @@ def test_a_value_of_another_kind_is_said():
         "Noise(photons='x')": "photons is 'x', but it must be above 0, in photons per frame of white.",
         "Huber('x')": "Huber was given the threshold 'x'; it is a number above 0, in standard deviations of the noise.",
         "Intervals(noise=25)": "noise is 25; it must be a Noise, such as Noise(photons=100.0).",
-        "reconstruct(spikes, scale=2, samples=9)": "samples is 9; it must be a Measuring, such as Intervals().",
+        "reconstruct(spikes, scale=2, samples=9)": "samples is 9; it must be a SamplingRule, such as Intervals().",
         "reconstruct(spikes, scale=2, optics=0.5)": "optics is 0.5; it must be a Blur",
         "reconstruct(spikes, scale=2, velocity=Motion.none(5, 5))": "velocity has shape (2, 5, 5)",
         "moved(acceleration=small)": "velocity.acceleration has shape (2, 5, 5); for this recording it must be (2, 8,",

@@ -5,15 +5,15 @@ import threading
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scsr_opt.pipeline.preparation
+from scsr_opt.pipeline.preparation import prepare
 from skimage import data
 
-import scsr_opt.pipeline.preparation
 from scsr_opt import InputError, Recording, reconstruct, sequence
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Global
-from scsr_opt.pipeline.preparation import prepare
 from scsr_opt.pipeline.sequence import _where_seen
 
 PICTURE = data.camera()[90:250, 150:310]
@@ -39,10 +39,10 @@ def test_a_pan_is_carried_on_and_its_pictures_are_those_of_single_solves(monkeyp
             lambda *given, **options: validated.append(validates(*given, **options)) or validated[-1],
         )
         solutions = list(sequence(made.spikes, keys, scale=SCALE))
-    assert [solution.stats["carried"] for solution in solutions] == [False, True, True]
+    assert [solution.diagnostics.motion_carried for solution in solutions] == [False, True, True]
     # Found with the motion, and carried on with it.
-    assert [found.strength for found in validated] == pytest.approx([solutions[0].stats["strength"]])
-    assert len({solution.stats["strength"] for solution in solutions}) == 1
+    assert [found.strength for found in validated] == pytest.approx([solutions[0].diagnostics.strength])
+    assert len({solution.diagnostics.strength for solution in solutions}) == 1
     for key, solution in zip(keys, solutions, strict=True):
         alone = reconstruct(made.spikes, scale=SCALE, key=key)
         truth = made.truth(key)
@@ -56,11 +56,11 @@ def test_a_solve_goes_on_from_the_one_before(velocity):
     """To the same minimum, in fewer iterations than one from playback with the same motion and strength."""
     made = simulated(Translation(PICTURE, velocity=velocity, key=55))
     *_, last = sequence(made.spikes, KEYS, scale=SCALE)
-    assert last.stats["carried"] and last.motion is not None
-    anew = reconstruct(made.spikes, scale=SCALE, key=KEYS[-1], velocity=last.motion, strength=last.stats["strength"])
+    assert last.diagnostics.motion_carried and last.motion is not None
+    anew = reconstruct(made.spikes, scale=SCALE, key=KEYS[-1], velocity=last.motion, strength=last.diagnostics.strength)
     print(f"{last.stats['iterations']} iterations instead of {anew.stats['iterations']}")
-    assert last.stats["iterations"] < anew.stats["iterations"]
-    assert last.stats["objective"] == pytest.approx(anew.stats["objective"], rel=1e-3)
+    assert last.diagnostics.iterations < anew.diagnostics.iterations
+    assert last.diagnostics.objective == pytest.approx(anew.diagnostics.objective, rel=1e-3)
 
 
 def test_a_picture_begins_at_playback_where_nothing_was_seen():
@@ -78,7 +78,7 @@ def test_an_object_takes_its_layer_along():
     """Where it is seen is found anew; without that, 10 frames cost 0.4 dB."""
     made = simulated(MovingObject(PICTURE, data.brick()[:60, :60], velocity=(0.3, 0.5), key=55))
     _, solution = sequence(made.spikes, (50, 60), scale=SCALE)
-    assert solution.stats["carried"]
+    assert solution.diagnostics.motion_carried
     alone = psnr(made.truth(60), reconstruct(made.spikes, scale=SCALE, key=60).image, 8)
     assert psnr(made.truth(60), solution.image, 8) > alone - 0.1
 
@@ -89,7 +89,7 @@ def test_motion_is_found_anew_where_it_changes():
     after = simulated(Static(before.truth(120)), 121)
     both = Recording.from_array(np.concatenate([before.spikes, after.spikes]))
     solutions = list(sequence(both, (60, 70, 180, 190), scale=SCALE))
-    assert [solution.stats["carried"] for solution in solutions] == [False, True, False, True]
+    assert [solution.diagnostics.motion_carried for solution in solutions] == [False, True, False, True]
     assert solutions[2].velocity is not None and not solutions[2].velocity.any()
 
 
@@ -99,22 +99,22 @@ def test_motion_is_found_anew_where_something_comes_into_view():
     passing = simulated(MovingObject(PICTURE, data.brick()[:60, :60], velocity=(0.3, 0.5), key=40), 81)
     both = Recording.from_array(np.concatenate([wall.spikes, passing.spikes]))
     solutions = list(sequence(both, (40, 45, 110, 121), scale=SCALE, frames=61))
-    assert [solution.stats["carried"] for solution in solutions[:2]] == [False, True]
-    assert not solutions[2].stats["carried"] or not solutions[3].stats["carried"]
+    assert [solution.diagnostics.motion_carried for solution in solutions[:2]] == [False, True]
+    assert not solutions[2].diagnostics.motion_carried or not solutions[3].diagnostics.motion_carried
     assert solutions[3].velocity is not None and solutions[3].velocity.any()
 
 
 def test_a_motion_is_not_carried_on_for_ever():
     made = simulated(Static(PICTURE), 221)
     solutions = sequence(made.spikes, range(50, 171, 20), scale=SCALE)
-    assert [solution.stats["carried"] for solution in solutions] == [False, *[True] * 5, False]
+    assert [solution.diagnostics.motion_carried for solution in solutions] == [False, *[True] * 5, False]
 
 
 def test_what_is_wanted_of_all_pictures_is_handed_on():
     made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
     options = {"strength": 0.01, "velocity": Global(affine=False), "frames": 61, "gain": np.ones((80, 80))}
     first, second = sequence(made.spikes, (50, 60), scale=SCALE, **options)
-    assert first.stats["strength"] == second.stats["strength"] == pytest.approx(0.01)
+    assert first.diagnostics.strength == second.diagnostics.strength == pytest.approx(0.01)
     assert second.velocity is not None and np.ptp(second.velocity, axis=(1, 2)).max() == 0
 
 
@@ -122,7 +122,7 @@ def test_what_is_wrong_with_a_key_is_said_in_its_turn():
     """The next picture is prepared while one is solved for; that one is handed out all the same."""
     made = simulated(Static(PICTURE), 61)
     following = sequence(made.spikes, (30, 61), scale=SCALE, frames=31)
-    assert next(following).result.good
+    assert next(following).status.usable
     with pytest.raises(InputError, match="key is 61"):
         next(following)
 
@@ -130,7 +130,7 @@ def test_what_is_wrong_with_a_key_is_said_in_its_turn():
 def test_a_sequence_that_nobody_wants_any_more_ends():
     made = simulated(Static(PICTURE), 61)
     following = sequence(made.spikes, range(20, 41), scale=SCALE, frames=31)
-    assert next(following).result.good
+    assert next(following).status.usable
     before = threading.active_count()
     following.close()
     assert threading.active_count() < before  # nothing is prepared in the background
@@ -143,10 +143,10 @@ def test_a_prepared_motion_that_a_solve_changes_is_not_followed():
         sensor=Sensor(photons=1000.0, fixed_pattern=0.1), seed=3,
     )  # fmt: skip
     first, second = sequence(made.spikes, (50, 55), scale=SCALE)
-    assert first.stats["gain_spread"] > 0.05 and second.stats["carried"]
+    assert first.diagnostics.gain_spread > 0.05 and second.diagnostics.motion_carried
     assert first.motion is not None and second.motion is not None
     assert np.abs(first.motion.velocity - second.motion.velocity).max() < 1e-3
-    assert second.stats["strength"] == first.stats["strength"]
+    assert second.diagnostics.strength == first.diagnostics.strength
     # The pattern is the camera's: it is found once.
     assert first.gain is not None and np.std(first.gain) > 0.05
     np.testing.assert_array_equal(second.gain, first.gain)
@@ -154,7 +154,7 @@ def test_a_prepared_motion_that_a_solve_changes_is_not_followed():
 
 def test_nothing_to_see_is_no_reason_to_stop():
     dark = Recording.from_array(np.zeros((40, 8, 8), np.uint8))
-    assert [solution.result.good for solution in sequence(dark, (10, 20), scale=SCALE)] == [False, False]
+    assert [solution.status.usable for solution in sequence(dark, (10, 20), scale=SCALE)] == [False, False]
     assert len(list(sequence(np.ones((2, 8, 8), np.uint8), (0, 1), scale=SCALE))) == 2
 
 

@@ -18,11 +18,11 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion import Motion, estimate_motion
 from scsr_opt.operators import Huber, Welsch
 from scsr_opt.operators.sampling import accumulate
+from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.measurement import Stream, measured
 from scsr_opt.pipeline.reconstruct import _some
-from scsr_opt.pipeline.scene_summary import DARK, TILE, Kind, plan_of
-from scsr_opt.priors import default_prior
-from scsr_opt.report import plan_figure
+from scsr_opt.pipeline.scene_summary import DARK, TILE, Kind, summarise_scene
+from scsr_opt.report import scene_figure
 
 SCALE, FRAMES, KEY = 2, 101, 50
 WALL = data.gravel()[40:200, 60:220] / 255  # 80×80 sensor pixels
@@ -81,17 +81,17 @@ def all_of(name: str) -> tuple[Stream, np.ndarray, Solution, list[Solution]]:
     if name == "hot pixel":
         spikes[:, 40, 40] = 1
     full = reconstruct(spikes, scale=SCALE, key=KEY, skip=False)
-    skipping = [reconstruct(spikes, scale=SCALE, key=KEY, strength=λ) for λ in (None, full.stats["strength"])]
+    skipping = [reconstruct(spikes, scale=SCALE, key=KEY, strength=λ) for λ in (None, full.diagnostics.strength)]
     return Stream(spikes, KEY, 0.6, None), made.truth(KEY), full, skipping
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
     stream, truth, full, skipping = all_of(name)
-    assert full.plan is None and full.result.good and full.velocity is not None
+    assert full.plan is None and full.status.usable and full.velocity is not None
     motion = Motion.of_velocity(np.asarray(full.velocity))
     every = accumulate(measured(stream, motion, scale=SCALE, measuring=Intervals(), merge=False).placed)
-    strength, prior = full.stats["strength"], default_prior(SCALE)
+    strength, prior = full.diagnostics.strength, default_prior(SCALE)
 
     def objective(solution: Solution) -> float:
         image = jnp.asarray(solution.image)
@@ -99,7 +99,7 @@ def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
 
     side = TILE * SCALE
     for solution in skipping:
-        assert solution.plan is not None and solution.result.good
+        assert solution.plan is not None and solution.status.usable
         # The solve ends at a relative residual of 1e-4, which leaves far less than a tenth of these bounds.
         assert psnr(truth, solution.image, 8) > psnr(truth, full.image, 8) - 0.03
         change = (solution.image - full.image).reshape(160 // side, side, 160 // side, side).mean((1, 3))
@@ -118,8 +118,8 @@ def test_a_pan_is_as_sharp_with_few_positions_along_its_exposures(scale, velocit
     scene = Translation(picture, velocity=velocity)
     made = simulate(scene, scale=scale, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
     full, skipping = (reconstruct(made.spikes, scale=scale, key=KEY, skip=skip) for skip in (False, True))
-    assert skipping.stats["samples"] == pytest.approx(full.stats["samples"], rel=0.01)
-    assert skipping.stats["strength"] == pytest.approx(full.stats["strength"], rel=0.02)
+    assert skipping.diagnostics.samples == pytest.approx(full.diagnostics.samples, rel=0.01)
+    assert skipping.diagnostics.strength == pytest.approx(full.diagnostics.strength, rel=0.02)
     truth, border = made.truth(KEY), 8 * scale
     assert psnr(truth, skipping.image, border) == pytest.approx(psnr(truth, full.image, border), abs=0.015)
 
@@ -154,7 +154,7 @@ def test_a_picture_of_few_tiles_is_iterated_as_a_whole():
     made = simulate(Translation(WALL, velocity=(0.5, 0.8)), scale=4, frames=FRAMES, sensor=Sensor(), seed=5)
     full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
     assert skipping.active is not None and not skipping.active.alone.any()
-    assert skipping.stats["iterations"] == full.stats["iterations"]
+    assert skipping.diagnostics.iterations == full.diagnostics.iterations
 
 
 def test_an_object_that_is_mostly_hidden_or_hides_is_no_rest():
@@ -173,15 +173,15 @@ def test_what_is_still_is_told_and_merged_beside_what_moves():
     scene = MovingObject(WALL, BRICK, (0.4, 0.6), shape=Box(30.0, 30.0))
     spikes = simulate(scene, scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=1).spikes
     looked_for = reconstruct(spikes, scale=SCALE)
-    λ = looked_for.stats["strength"]
+    λ = looked_for.diagnostics.strength
     given, full = (reconstruct(spikes, scale=SCALE, strength=λ, skip=skip) for skip in (True, False))
     assert looked_for.plan is not None and given.plan is not None
     for plan, words in ((looked_for.plan, "nothing is merged"), (given.plan, "merged into one")):
         assert 0.3 < plan.share(Kind.STATIC) + plan.share(Kind.UNIFORM) < 1
         assert any("nothing moves" in line and words in line for line in plan.lines())
     # About half of the sensor rests, and an interval there lasts three frames.
-    assert given.stats["samples"] < 0.7 * looked_for.stats["samples"]
-    assert given.plan.samples == given.stats["samples"]
+    assert given.diagnostics.samples < 0.7 * looked_for.diagnostics.samples
+    assert given.plan.samples == given.diagnostics.samples
     truth = scene.frame(KEY)
     assert psnr(truth, given.image, 8) > psnr(truth, full.image, 8) - 0.03
 
@@ -228,8 +228,8 @@ def test_skip_is_yes_or_no():
 
 def test_a_recording_that_shows_nothing_has_a_plan_too():
     solution = reconstruct(np.zeros((20, 20, 30), np.uint8), scale=SCALE)
-    assert not solution.result.good and solution.plan is not None
-    assert solution.stats["plan"]["samples"] == 600 and solution.stats["plan"]["tiles"]["dark"] == 1
+    assert not solution.status.usable and solution.plan is not None
+    assert solution.scene.numbers["samples"] == 600 and solution.scene.numbers["tiles"]["dark"] == 1
 
 
 def test_what_is_in_no_layer_is_not_taken_for_still():
@@ -267,7 +267,7 @@ def plan(spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 
     merged = np.full((height, width), merged_for, np.int32)
     motion = Motion.none(height, width)
     given = {"pixel": each, "light": light, "used": used * light}
-    return plan_of(spikes, motion, merged, merged, **given, noise=noise, bad_pixels=bad_pixels)
+    return summarise_scene(spikes, motion, merged, merged, **given, noise=noise, bad_pixels=bad_pixels)
 
 
 def test_each_kind_of_tile_is_told():
@@ -351,10 +351,10 @@ def test_a_plan_is_told_in_words_numbers_and_a_picture(tmp_path):
     assert solution.plan is not None
     lines = solution.plan.lines()
     assert lines[0] == "Scene: at rest." and any("merged into one" in line for line in lines)
-    numbers = solution.stats["plan"]
+    numbers = solution.scene.numbers
     assert numbers["samples"] < numbers["intervals"] and sum(numbers["tiles"].values()) == pytest.approx(1, abs=1e-3)
-    plan_figure(solution, scale=SCALE, title="wall").savefig(tmp_path / "plan.png")
+    scene_figure(solution, scale=SCALE, title="wall").savefig(tmp_path / "plan.png")
     full = reconstruct(made.spikes, scale=SCALE, skip=False)
     assert "plan" not in full.stats
     with pytest.raises(InputError, match="skip=True"):
-        plan_figure(full, scale=SCALE)
+        scene_figure(full, scale=SCALE)

@@ -10,7 +10,7 @@ from skimage import data
 
 from scsr_opt import reconstruct
 from scsr_opt.baselines import tfp_sr
-from scsr_opt.camera import Intervals, Measuring, Sensor, Windows, simulate
+from scsr_opt.camera import Intervals, SamplingRule, Sensor, Windows, simulate
 from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.cli.demo_scene import psnr
@@ -56,7 +56,7 @@ def first_of(stream: Stream) -> jax.Array:
 
 def at_rest(
     stream: Stream,
-    measuring: Measuring = Intervals(),  # noqa: B008
+    measuring: SamplingRule = Intervals(),  # noqa: B008
     prior: Prior = TotalVariation(),  # noqa: B008
     solver: Solver = FISTA(),  # noqa: B008
     *,

@@ -13,7 +13,7 @@ from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
-from scsr_opt.pipeline.measurement import measured, stream_around
+from scsr_opt.pipeline.measurement import clip_around, measured
 from scsr_opt.pipeline.scene_summary import Kind
 from scsr_opt.pipeline.visibility import cut_to_seen
 
@@ -144,7 +144,7 @@ def passing(white_rate: float) -> tuple[np.ndarray, np.ndarray]:
 def test_a_dim_scene_that_passes_through_a_small_picture_keeps_its_light():
     """An interval lasts 40 frames: not one lies within the picture from end to end."""
     spikes, velocity = passing(0.1)
-    _, stream = stream_around(Recording.from_array(spikes), key=32, frames=FRAMES, white_rate=0.1)
+    _, stream = clip_around(Recording.from_array(spikes), key=32, frames=FRAMES, white_rate=0.1)
     placed = measured(stream, Motion.of_velocity(velocity), scale=2, measuring=Intervals()).placed
     light = float(placed.weight @ placed.value / placed.weight.sum())
     # Short stretches are left out, in which the ½θ of an end is brightest (0.245 measured).

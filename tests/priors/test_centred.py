@@ -52,7 +52,7 @@ def test_eq_4_about_a_picture():
     }
     for solution in found.values():
         objectives = np.array([stage.objective for stage in solution.stages])
-        assert solution.result.good and (np.diff(objectives) <= 1e-5 * objectives[0]).all()
+        assert solution.status.usable and (np.diff(objectives) <= 1e-5 * objectives[0]).all()
     near, far = (float(np.ptp(found[strength].image - centre)) for strength in (1.0, 1e-4))
     assert near < 0.02 < far
 

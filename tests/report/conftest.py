@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from scsr_opt.motion import Motion
-from scsr_opt.solvers.solution import Result, Solution, Stage
+from scsr_opt.pipeline.solution import Solution
+from scsr_opt.solvers.record import Stage, Status
 
 SCALE = 4
 
@@ -26,4 +27,4 @@ def solution(scene) -> Solution:
     velocity = np.zeros((2, 24, 40), np.float32)
     velocity[1, :, 20:] = 0.2
     stats = {"iterations": np.int64(12), "strength": np.float32(0.25), "odd": np.nan, "list": [np.bool_(True), None]}
-    return Solution(scene, stages, Result.converged, stats, Motion.of_velocity(velocity))
+    return Solution(scene, stages, Status.converged, stats, Motion.of_velocity(velocity))

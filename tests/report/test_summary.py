@@ -9,7 +9,7 @@ import pytest
 from scsr_opt.camera import Recording
 from scsr_opt.report import Report, versions
 from scsr_opt.report.summary import plain
-from scsr_opt.solvers.solution import Result
+from scsr_opt.solvers.record import Status
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_the_numbers_are_the_solution_s(report, solution):
     }
     assert told["picture"]["width"] == 160 and told["picture"]["height"] == 96 and told["picture"]["key"] == 15
     assert told["picture"]["mean"] == pytest.approx(solution.image.mean(), rel=1e-6)
-    assert told["result"] == {"name": "converged", "sentence": Result.converged.sentence, "good": True}
+    assert told["result"] == {"name": "converged", "sentence": Status.converged.sentence, "good": True}
     assert told["motion"]["mean_speed"] == pytest.approx(0.1) and told["motion"]["top_speed"] == pytest.approx(0.2)
     assert told["stats"] == {"iterations": 12, "strength": 0.25, "odd": None, "list": [True, None]}
     assert [stage["objective"] for stage in told["stages"]] == [10.0 / t for t in range(1, 13)]
@@ -65,7 +65,7 @@ def test_lines_say_what_is_saturated(report):
 
 def test_a_failed_solve_has_a_report_too(spikes, solution):
     failed = dataclasses.replace(
-        solution, image=np.full((96, 160), np.nan, np.float32), result=Result.non_finite, motion=None, stages=()
+        solution, image=np.full((96, 160), np.nan, np.float32), result=Status.non_finite, motion=None, stages=()
     )
     told = json.loads(Report.of(Recording.from_array(spikes), failed, scale=4, key=0).json())
     assert told["picture"]["mean"] is None and told["motion"] is None and told["result"]["good"] is False
@@ -78,7 +78,7 @@ def test_plain_takes_anything():
         b: Path
 
     assert plain(Pair(float("inf"), Path("x/y"))) == {"a": None, "b": "x/y"}
-    assert plain({1: jnp.arange(3), "r": Result.converged}) == {"1": [0, 1, 2], "r": "converged"}
+    assert plain({1: jnp.arange(3), "r": Status.converged}) == {"1": [0, 1, 2], "r": "converged"}
     assert plain((jnp.float32(0.5), np.array(2))) == [0.5, 2]
     assert plain(slice(1)) == "slice(None, 1, None)"
 

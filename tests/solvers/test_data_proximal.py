@@ -11,7 +11,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.operators import Downsample
 from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser, TotalVariation
-from scsr_opt.solvers import FISTA, DataProximal, Problem, Result, default_solver, lipschitz_bound, run
+from scsr_opt.solvers import FISTA, DataProximal, Problem, Status, default_solver, lipschitz_bound, run
 
 SCALE, SENSOR = 2, (12, 16)
 SHAPE = (24, 32)
@@ -94,7 +94,7 @@ def test_it_ends_where_others_do():
 def test_the_data_without_a_prior_take_a_few_steps():
     problem = at_rest(PRIORS["Huber-TV"], 0.0)
     outcome = run(DataProximal(tolerance=1e-6), problem, start())
-    assert outcome.result is Result.converged and len(outcome.stages) <= 20
+    assert outcome.status is Status.converged and len(outcome.stages) <= 20
     seen = np.asarray(problem.data.stencil.planes[0]) > 0
     wanted = np.asarray(problem.data.target)[seen] / np.asarray(problem.data.stencil.planes[0])[seen]
     np.testing.assert_allclose(np.asarray(problem.data.blurred(jnp.asarray(outcome.image)))[seen], wanted, atol=1e-4)
@@ -138,7 +138,7 @@ def test_the_residual_bounds_that_of_fista(name):
 def test_steps_below_rounding_are_not_taken_for_the_end():
     """With λ = 10⁶ a step from a flat picture is 10⁻⁹ long, and FISTA is the one to take."""
     outcome = run(DataProximal(iterations=5), at_rest(PRIORS["Huber-TV"], 1e6), start())
-    assert outcome.result is Result.iterations_exhausted
+    assert outcome.status is Status.iterations_exhausted
 
 
 def test_what_it_cannot_solve_is_refused(case):
@@ -164,7 +164,7 @@ def test_fista_goes_on_from_its_state_and_it_from_that_of_fista():
     for one, other in ((DataProximal, FISTA), (FISTA, DataProximal)):
         first = run(one(iterations=100, tolerance=1e-6), problem, start())
         second = run(other(tolerance=1e-4), problem, start(), similar=first.state)
-        assert len(second.stages) <= 2 and second.result is Result.converged
+        assert len(second.stages) <= 2 and second.status is Status.converged
 
 
 def test_going_on_is_as_if_it_had_not_stopped_and_compiles_nothing(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors import HuberTotalVariation, TotalVariation
-from scsr_opt.solvers import FISTA, LBFGS, NonlinearCG, Result, lipschitz_bound, run
+from scsr_opt.solvers import FISTA, LBFGS, NonlinearCG, Status, lipschitz_bound, run
 
 SOLVERS = {"NonlinearCG": NonlinearCG, "L-BFGS": LBFGS}
 PRIOR = HuberTotalVariation(knee=0.05)
@@ -73,14 +73,14 @@ def test_tolerance_state_and_compilation(name, problem, case, monkeypatch):
     np.testing.assert_array_equal(second.image, whole.image)
     similar = eqx.tree_at(lambda p: p.strength, problem, jnp.float32(0.03))
     outcome = run(SOLVERS[name](tolerance=2e-3), similar, case.start, similar=first.state)
-    assert outcome.result is Result.converged and outcome.stages[-1].residual <= 2e-3
+    assert outcome.status is Status.converged and outcome.stages[-1].residual <= 2e-3
     assert traced == []
 
 
 @pytest.mark.parametrize(("name", "strength"), [("NonlinearCG", 0.02), ("L-BFGS", 0.02), ("L-BFGS", 0.2)])
 def test_the_usual_tolerance_is_met_in_single_precision(name, strength, problem, case):
     problem = eqx.tree_at(lambda p: p.strength, problem, jnp.float32(strength))
-    assert run(SOLVERS[name](), problem, case.start).result is Result.converged
+    assert run(SOLVERS[name](), problem, case.start).status is Status.converged
 
 
 def test_rounding_of_the_objective_does_not_end_the_search(problem, case):

@@ -22,7 +22,7 @@ from scsr_opt.solvers import (
     NormBound,
     Outcome,
     Problem,
-    Result,
+    Status,
     lipschitz_bound,
     run,
 )
@@ -78,8 +78,8 @@ def test_without_samples_the_prior_makes_a_picture_of_the_first_one(make, case):
     nothing = jax.tree.map(jnp.zeros_like, case.problem.data)
     first = jnp.asarray(np.random.default_rng(0).random(case.start.shape), jnp.float32)
     outcome = run(make(iterations=40), Problem(nothing, HuberTotalVariation(), jnp.float32(1e-3)), first)
-    assert outcome.result.good and np.isfinite(outcome.image).all()
-    assert outcome.stages[-1].objective < outcome.stages[0].objective or outcome.result is Result.converged
+    assert outcome.status.usable and np.isfinite(outcome.image).all()
+    assert outcome.stages[-1].objective < outcome.stages[0].objective or outcome.status is Status.converged
 
 
 @pytest.mark.parametrize("name", ["ISTA", "jaxopt ISTA"])
@@ -117,7 +117,7 @@ def test_the_solution_is_a_fixed_point(name, case, solved):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_tolerance_met_means_what_it_says(name, case):
     outcome = run(SOLVERS[name](tolerance=1e-3), case.problem, case.start)
-    assert outcome.result is Result.converged and outcome.result.good
+    assert outcome.status is Status.converged and outcome.status.usable
     residuals = [stage.residual for stage in outcome.stages]
     assert len(residuals) < 100 and residuals[-1] <= 1e-3 < min(residuals[:-1])
     # A step from X changes no more than the step that led to X, up to what their proximal steps are inexact by.
@@ -151,7 +151,7 @@ def test_records_are_those_of_the_pictures(name, case):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_going_on_from_a_state_is_the_same_trajectory_bit_for_bit(name, case, solved):
     first = run(SOLVERS[name](iterations=10, tolerance=0), case.problem, case.start)
-    assert first.result is Result.iterations_exhausted and first.result.good
+    assert first.status is Status.iterations_exhausted and first.status.usable
     second = run(SOLVERS[name](iterations=10, tolerance=0), case.problem, case.start, state=first.state)
     both = [stage.objective for stage in first.stages + second.stages]
     assert both == [stage.objective for stage in solved[name].stages[:20]]
@@ -171,7 +171,7 @@ def test_what_is_kept_of_a_state_is_all_that_a_similar_solve_begins_with(name, c
 def test_a_value_that_is_not_finite_ends_the_run(name, case):
     term = eqx.tree_at(lambda t: t.target, case.problem.data, case.problem.data.target.at[3, 4].set(jnp.nan))
     outcome = run(SOLVERS[name](), eqx.tree_at(lambda p: p.data, case.problem, term), case.start)
-    assert outcome.result is Result.non_finite and not outcome.result.good
+    assert outcome.status is Status.non_finite and not outcome.status.usable
     assert len(outcome.stages) == 1 and not math.isfinite(outcome.stages[0].objective)
     np.testing.assert_array_equal(outcome.image, case.start)
 
@@ -181,7 +181,7 @@ def test_the_last_finite_picture_is_returned_when_numbers_overflow_later(case):
     solver = ISTA(iterations=100, tolerance=0)
     state = solver.init(case.problem, case.start)
     outcome = run(solver, case.problem, case.start, state=state._replace(step_size=jnp.float32(1e3)))
-    assert outcome.result is Result.non_finite and 1 < len(outcome.stages) < 100
+    assert outcome.status is Status.non_finite and 1 < len(outcome.stages) < 100
     assert np.isfinite(outcome.image).all()
     assert all(math.isfinite(stage.objective) for stage in outcome.stages[:-1])
 

@@ -20,7 +20,7 @@ from scsr_opt.solvers import (
     JaxoptConjugateGradients,
     Outcome,
     Problem,
-    Result,
+    Status,
     lipschitz_bound,
     run,
 )
@@ -102,7 +102,7 @@ def test_a_prior_that_has_a_proximal_step_only(name, case, minimum):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_tolerance_met_ends_the_run(name, case):
     outcome = run(SOLVERS[name](tolerance=4e-3), case.problem, case.start)
-    assert outcome.result is Result.converged
+    assert outcome.status is Status.converged
     residuals = [stage.residual for stage in outcome.stages]
     assert residuals[-1] <= 4e-3 < min(residuals[:-1])
 
@@ -148,7 +148,7 @@ def test_without_a_prior_it_is_least_squares(name, case):
 def test_a_value_that_is_not_finite_ends_the_run(name, case):
     broken = eqx.tree_at(lambda p: p.data.target, case.problem, case.problem.data.target.at[3, 4].set(jnp.nan))
     outcome = run(SOLVERS[name](), broken, case.start)
-    assert outcome.result is Result.non_finite and len(outcome.stages) == 1
+    assert outcome.status is Status.non_finite and len(outcome.stages) == 1
     np.testing.assert_array_equal(outcome.image, case.start)
 
 

@@ -153,7 +153,7 @@ def test_without_samples_a_step_is_an_ordinary_number(step_size, case):
     problem = eqx.tree_at(lambda p: p.data, case.problem, nothing)
     assert (np.asarray(step_size.first(problem)) == 1).all()
     outcome = run(FISTA(step_size=step_size), problem, case.start + jnp.eye(*case.start.shape))
-    assert outcome.result.good and np.isfinite(outcome.image).all()
+    assert outcome.status.usable and np.isfinite(outcome.image).all()
 
 
 def test_a_fixed_step_is_what_the_record_says(case):

@@ -10,7 +10,7 @@ import pytest
 
 from scsr_opt.errors import InputError
 from scsr_opt.priors import Bounded, HuberTotalVariation, PlugAndPlay, TotalVariation
-from scsr_opt.solvers import ADMM, FISTA, CondatVu, DualityGap, JaxoptFISTA, Problem, Result, run
+from scsr_opt.solvers import ADMM, FISTA, CondatVu, DualityGap, JaxoptFISTA, Problem, Status, run
 
 SOLVERS = {"FISTA": FISTA, "ADMM": ADMM, "Condat–Vũ": CondatVu}
 
@@ -31,7 +31,7 @@ def test_a_picture_may_become_black(solver, case):
     dark = eqx.tree_at(lambda d: d.target, case.problem.data, -jnp.ones_like(case.problem.data.target))
     problem = Problem(dark, Bounded(TotalVariation(), 0, 1), case.problem.strength)
     outcome = run(solver, problem, jnp.full_like(case.start, 0.01))
-    assert outcome.result.good
+    assert outcome.status.usable
     np.testing.assert_array_equal(outcome.image, 0)
     assert all(math.isfinite(stage.residual) for stage in outcome.stages)
 
@@ -53,7 +53,7 @@ def test_the_gap_is_an_upper_bound_that_vanishes(name, case, minimum, double):
 
 def test_a_gap_met_ends_the_run(case):
     outcome = run(FISTA(tolerance=2e-2, stopping=DualityGap(upper=1.2)), case.problem, case.start)
-    assert outcome.result is Result.converged
+    assert outcome.status is Status.converged
     gaps = [stage.gap for stage in outcome.stages]
     assert gaps[-1] <= 2e-2 < min(gaps[:-1])
 

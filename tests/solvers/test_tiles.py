@@ -23,11 +23,11 @@ from scsr_opt.solvers import (
     NormBound,
     Outcome,
     Problem,
-    Result,
     Separable,
+    Status,
     divides,
     run,
-    run_active,
+    run_tiles,
 )
 from scsr_opt.solvers import tiles as module
 
@@ -92,8 +92,8 @@ def pixels(row: int, column: int) -> tuple[slice, slice]:
 @pytest.mark.parametrize("skip", [True, False])
 @pytest.mark.parametrize("make", [FISTA, partial(ISTA, step_size=Separable())])
 def test_it_ends_at_the_minimum_with_no_tile_far_from_it(make, skip, problem, start, best):
-    found = run_active(make(iterations=400), problem, start, skip=skip)
-    assert found.result is Result.converged and found.stages[-1].residual <= 1e-4
+    found = run_tiles(make(iterations=400), problem, start, skip=skip)
+    assert found.status is Status.converged and found.stages[-1].residual <= 1e-4
     active = found.active
     assert active is not None and active.worst <= active.limit
     assert active.alone.any() == skip
@@ -143,8 +143,8 @@ def test_only_what_is_unfinished_and_what_that_wakes_is_gone_on_with(problem, be
     image = np.array(best.image)
     image[pixels(0, 0)] += 0.05 * np.random.default_rng(1).normal(size=(SIDE, SIDE))
     disturbed = best.state._replace(image=jnp.asarray(image, jnp.float32))
-    found = run_active(FISTA(tolerance=3e-4), problem, jnp.asarray(image), similar=disturbed)
-    assert found.result is Result.converged and found.active is not None
+    found = run_tiles(FISTA(tolerance=3e-4), problem, jnp.asarray(image), similar=disturbed)
+    assert found.status is Status.converged and found.active is not None
     alone = found.active.alone
     assert alone[0, 0] > 0 and not alone[2:].any() and not alone[:, 2:].any()
     least = objective(problem, best.image)
@@ -159,9 +159,9 @@ def test_it_does_not_matter_what_weights_are_counted_in(problem, start):
         data = dataclasses.replace(problem.data, stencil=Stencil(factor * planes), target=factor * target)
         return dataclasses.replace(problem, data=data, strength=factor * problem.strength)
 
-    found = [run_active(FISTA(iterations=400), times(factor), start) for factor in (1.0, 1e3, 1e-4)]
+    found = [run_tiles(FISTA(iterations=400), times(factor), start) for factor in (1.0, 1e3, 1e-4)]
     for outcome in found:
-        assert outcome.result is Result.converged and outcome.active is not None and found[0].active is not None
+        assert outcome.status is Status.converged and outcome.active is not None and found[0].active is not None
         assert abs(outcome.active.alone.max() - found[0].active.alone.max()) <= 5
         np.testing.assert_allclose(outcome.image, found[0].image, atol=0.01)
 
@@ -169,7 +169,7 @@ def test_it_does_not_matter_what_weights_are_counted_in(problem, start):
 @pytest.mark.parametrize("skip", [True, False])
 @pytest.mark.parametrize("most", [1, 2, 5, 9])
 def test_no_more_iterations_are_done_than_allowed(most, skip, problem, start):
-    found = run_active(FISTA(iterations=most, tolerance=3e-3), problem, start, skip=skip)
+    found = run_tiles(FISTA(iterations=most, tolerance=3e-3), problem, start, skip=skip)
     assert found.active is not None and len(found.stages) + found.active.alone.max() <= most
     assert np.isfinite(found.image).all()
 
@@ -178,28 +178,28 @@ def test_corrections_are_asked_for_by_the_tolerance(problem, start):
     """Whatever its digits: 1e-3 is more than its float32."""
     for tolerance in (1e-3, 1e-4, 3e-4):
         asked = []
-        run_active(FISTA(tolerance=tolerance), problem, start, correction=lambda _, t: asked.append(t), skip=False)  # noqa: B023
+        run_tiles(FISTA(tolerance=tolerance), problem, start, correction=lambda _, t: asked.append(t), skip=False)  # noqa: B023
         assert asked and all(t == pytest.approx(tolerance) for t in asked)
 
 
 def test_the_limit_of_iterations_holds_for_each_tile(problem, start):
-    found = run_active(FISTA(iterations=12, tolerance=1e-5), problem, start)
-    assert found.result is Result.iterations_exhausted and found.active is not None
+    found = run_tiles(FISTA(iterations=12, tolerance=1e-5), problem, start)
+    assert found.status is Status.iterations_exhausted and found.active is not None
     assert len(found.stages) + found.active.alone.max() <= 12
 
 
 def test_what_is_not_finite_ends_it(problem, start, rough, monkeypatch):
     target = problem.data.target.at[30, 30].set(jnp.nan)
     wrong = dataclasses.replace(problem, data=dataclasses.replace(problem.data, target=target))
-    assert run_active(FISTA(), wrong, start).result is Result.non_finite
+    assert run_tiles(FISTA(), wrong, start).status is Status.non_finite
 
     # And where tiles make it so: the picture before them is what is left.
     def spoilt(solver, problem, state, slopes, *limits):
         return state._replace(image=state.image * jnp.nan), np.sign(slopes).astype(int)
 
     monkeypatch.setattr(module, "_on_tiles", spoilt)
-    found = run_active(FISTA(), problem, start)
-    assert found.result is Result.non_finite and np.isfinite(found.image).all()
+    found = run_tiles(FISTA(), problem, start)
+    assert found.status is Status.non_finite and np.isfinite(found.image).all()
 
 
 def test_it_is_one_solve_to_those_who_watch(problem, start):
@@ -216,7 +216,7 @@ def test_it_is_one_solve_to_those_who_watch(problem, start):
             self.finished += 1
 
     watched = Watched()
-    found = run_active(FISTA(), problem, start, progress=watched)
+    found = run_tiles(FISTA(), problem, start, progress=watched)
     assert watched.started == watched.finished == 1
     assert found.active is not None and found.active.alone.any()
     assert watched.done == len(found.stages) + found.active.alone.max()

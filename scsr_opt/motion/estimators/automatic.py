@@ -24,7 +24,7 @@ from scsr_opt.motion.estimators.evidence import (
     missed,
     typical_noise,
 )
-from scsr_opt.motion.estimators.frames import Stretches, smooth, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, filled, smooth, stretches
 from scsr_opt.motion.estimators.layered import layered, relabelled
 from scsr_opt.motion.estimators.parametric import moves_as_one, parametric
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
@@ -85,7 +85,7 @@ _FILLED_FROM, _FILLED_SHARE = 2.0, 0.2
 class Still(Estimator):
     """Nothing moves."""
 
-    def __call__(self, pictures: Stretches) -> Motion:
+    def __call__(self, pictures: MotionFrames) -> Motion:
         return Motion.none(*pictures.picture.shape[1:])
 
 
@@ -95,7 +95,7 @@ class Global(Estimator):
 
     affine: bool = True
 
-    def __call__(self, pictures: Stretches) -> Motion:
+    def __call__(self, pictures: MotionFrames) -> Motion:
         return together(pictures, affine=self.affine)[0]
 
 
@@ -107,7 +107,7 @@ class Dense(Estimator):
 
     acceleration: bool = True
 
-    def __call__(self, pictures: Stretches) -> Motion:
+    def __call__(self, pictures: MotionFrames) -> Motion:
         straight = dense(pictures)
         return accelerated(pictures, straight) if self.acceleration else straight
 
@@ -126,7 +126,7 @@ class Automatic(Estimator):
 
     skip: bool = True
 
-    def __call__(self, pictures: Stretches) -> Motion:
+    def __call__(self, pictures: MotionFrames) -> Motion:
         first, last = np.asarray(pictures.after)[[0, -1]].tolist()
         middle = (first + last) / 2
         found, simple = self._chosen(pictures)
@@ -138,7 +138,7 @@ class Automatic(Estimator):
         against, against_other = (contradicted(pictures, motion).sum() for motion in (found, other))
         return other if against_other < _FEWER * against else found
 
-    def _chosen(self, pictures: Stretches) -> tuple[Motion, bool]:
+    def _chosen(self, pictures: MotionFrames) -> tuple[Motion, bool]:
         """The motion, and whether it is none or one for all."""
         still = Motion.none(*pictures.picture.shape[1:])
         moving, resting = at_rest(pictures)
@@ -164,7 +164,7 @@ class Automatic(Estimator):
         return (still, True) if rests else (whole, True) if serves else (richer, False)
 
 
-def _flickers(pictures: Stretches, contradicting: float) -> bool:
+def _flickers(pictures: MotionFrames, contradicting: float) -> bool:
     """Does so large a share of the pixels contradict rest because the light changes? Lamps flicker at 100 Hz, by a few
     percent within 100 frames, and what gets brighter as a whole looks to each window as if it moved."""
     even = _evenly_lit(pictures)
@@ -174,7 +174,7 @@ def _flickers(pictures: Stretches, contradicting: float) -> bool:
     return bool(left <= min(_TOLERATED_GLOBAL, _LEFT * contradicting)) and not moves_as_one(even)
 
 
-def _evenly_lit(pictures: Stretches) -> Stretches | None:
+def _evenly_lit(pictures: MotionFrames) -> MotionFrames | None:
     """The pictures, intensity, divided by the light of their moment, the median ratio of their pixels to the mean
     picture; None where it hardly changes (`_FLICKER`). Where something moves the median may follow that, so that
     nothing but rest is to be asked of them."""
@@ -188,7 +188,7 @@ def _evenly_lit(pictures: Stretches) -> Stretches | None:
     if np.ptp(light) <= _FLICKER * np.median(light):  # nor where there is none
         return None
     light = np.maximum(light, _LIT * light.max())
-    return Stretches(pictures.picture / jnp.asarray(light)[:, None, None], pictures.after, pictures.firing)
+    return MotionFrames(pictures.picture / jnp.asarray(light)[:, None, None], pictures.after, pictures.firing)
 
 
 def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:
@@ -212,7 +212,7 @@ def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w
     return bool((nearer @ sides[:, :2].T + sides[:, 2] < 0).all(1).mean() > 0.5)
 
 
-def _apart(pictures: Stretches, background: Motion, unexplained: Bool[np.ndarray, "h w"], skip: bool) -> Motion:
+def _apart(pictures: MotionFrames, background: Motion, unexplained: Bool[np.ndarray, "h w"], skip: bool) -> Motion:
     """What moves apart from the background, as layers or pixel by pixel; the background, if neither explains more."""
     box, everything = _box(unexplained), (slice(None), slice(None))
     used, judged_on = (box, everything) if skip else (everything, box)
@@ -287,7 +287,7 @@ def _serve(label: Int[np.ndarray, "h w"], by_layers: Missed, by_pixel: Missed, t
     return bool(by_layers.error[both].mean() <= _WORSE * by_pixel.error[both].mean())
 
 
-def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, Bool[np.ndarray, "h w"]]:
+def together(pictures: MotionFrames, *, affine: bool = True) -> tuple[Motion, Bool[np.ndarray, "h w"]]:
     """One motion for the whole scene (`parametric`), and the pixels that contradict it.
 
     Where that is too much, phase correlation gives another start, if it is itself contradicted by fewer. In dim light
@@ -305,7 +305,7 @@ def together(pictures: Stretches, *, affine: bool = True) -> tuple[Motion, Bool[
     return motion, left
 
 
-def _left(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
+def _left(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """The pixels that contradict a motion of the whole scene; all, if it carries most out of view, where nothing can
     contradict it, and what is left does not speak for it."""
     longest = float(jnp.max(jnp.abs(pictures.after)))
@@ -334,7 +334,7 @@ def estimate_motion(
     return Motion.none(*spikes.shape[1:]) if pictures is None else motion_in(pictures, estimator)
 
 
-def motion_in(pictures: Stretches, estimator: Estimator | None = None) -> Motion:
+def motion_in(pictures: MotionFrames, estimator: Estimator | None = None) -> Motion:
     """The motion (h, w) that these pictures (`comparable`) show by `estimator`, `Automatic` if not given, with its
     trust."""
     motion = (Automatic() if estimator is None else estimator)(pictures)
@@ -348,7 +348,7 @@ def comparable(
     white_rate: float | int,
     bad_pixels: np.ndarray | None,
     gain: Float[np.ndarray, "h w"] | None,
-) -> Stretches | None:
+) -> MotionFrames | None:
     """The recording as pictures (`stretches`) in which what differs has moved: over the gains, bad pixels filled. None
     where no motion can be seen, in fewer than three frames or a single row or column."""
     frames, height, width = spikes.shape
@@ -367,12 +367,4 @@ def comparable(
         # Where there are no good pixels around, nothing is heard: what is filled in there does not move.
         some = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(_FILLED_FROM)) > _FILLED_SHARE
         firing = jnp.where(some, filled(firing[None], good)[0], 0)
-    return Stretches(mended(picture), found.after, firing, lambda: mended(counted()))
-
-
-def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:
-    """The pictures with all but the good pixels replaced by a Gaussian mean of good ones around them."""
-    weight = jnp.asarray(good, pictures.dtype)
-    reach = jnp.asarray(1.0)
-    nearby = smooth(pictures * weight[None], reach) / jnp.maximum(smooth(weight, reach), 1e-6)[None]
-    return jnp.where(jnp.asarray(good)[None], pictures, nearby)
+    return MotionFrames(mended(picture), found.after, firing, lambda: mended(counted()))

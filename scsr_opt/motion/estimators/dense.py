@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from scsr_opt.motion.estimators.frames import Stretches, drift, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, drift, smooth
 from scsr_opt.motion.trajectory import Motion
 
 _VELOCITY, _ACCELERATION = 0, 1
@@ -28,7 +28,7 @@ _CHANCE = 0.05
 _VOTERS = 5
 
 
-def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
+def dense(pictures: MotionFrames, *, start: Motion | None = None) -> Motion:
     """Least squares in a Gaussian window around each pixel (Lucas and Kanade, 1981), over all moments at once, for the
     velocity, from near times to far ones; the acceleration is that of `start` (`accelerated` finds one).
 
@@ -38,7 +38,7 @@ def dense(pictures: Stretches, *, start: Motion | None = None) -> Motion:
     return _searched(pictures, start, start, _FOR_VELOCITY)
 
 
-def accelerated(pictures: Stretches, motion: Motion, *, start: Motion | None = None, turns: int = 3) -> Motion:
+def accelerated(pictures: MotionFrames, motion: Motion, *, start: Motion | None = None, turns: int = 3) -> Motion:
     """A dense motion with an acceleration for each pixel, sensor pixels per frame², as far as chance does not explain
     it: acceleration and velocity by least squares in so many `turns`. Where a window has no texture they stay near
     those of `start` (nothing moves, if not given)."""
@@ -46,7 +46,7 @@ def accelerated(pictures: Stretches, motion: Motion, *, start: Motion | None = N
     return _searched(pictures, motion, start, _A_TURN * turns)
 
 
-def _searched(pictures: Stretches, motion: Motion, start: Motion, schedule: tuple[_Part, ...]) -> Motion:
+def _searched(pictures: MotionFrames, motion: Motion, start: Motion, schedule: tuple[_Part, ...]) -> Motion:
     """`motion` after all parts of a schedule, near `start` where a window has no texture."""
     height, width = pictures.picture.shape[1:]
     distance = np.sort(np.abs(np.asarray(pictures.after)))
@@ -131,7 +131,7 @@ def _median(values: Float[Array, "c h w"]) -> Float[Array, "c h w"]:
     return sorting[len(sorting) // 2]
 
 
-def _by_chance(pictures: Stretches) -> Float[Array, "*hw"]:
+def _by_chance(pictures: MotionFrames) -> Float[Array, "*hw"]:
     """`_CHANCE`, times the number of pictures that the intervals of a pixel last: these share its noise."""
     firing, after = pictures.firing, pictures.after
     if firing is None or after.size < 2:

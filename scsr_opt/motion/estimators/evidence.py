@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.motion.estimators.frames import Drift, Stretches, along, drift, smooth
+from scsr_opt.motion.estimators.frames import Drift, MotionFrames, along, drift, smooth
 from scsr_opt.motion.inversion import Corner, bilinear, in_turn, interpolated
 from scsr_opt.motion.trajectory import Motion, seen_at
 
@@ -32,19 +32,19 @@ _SMEAR = 1.4
 _SPIKES = 2.0
 
 
-def contradicted(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
+def contradicted(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where the recording contradicts `motion`, see above."""
     evidence, drifted, _ = map(np.asarray, _evidence(pictures, motion))
     return (evidence > _CONTRADICTION) & (drifted > _DRIFT) & heard(pictures, motion)
 
 
-def heard(pictures: Stretches, motion: Motion) -> Bool[np.ndarray, "h w"]:
+def heard(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
     """Where pixels fire often enough to contradict this motion, see above."""
     firing = _firing_around(pictures)
     return np.ones(motion.speed.shape, bool) if firing is None else motion.speed <= _SMEAR * firing
 
 
-def _firing_around(pictures: Stretches) -> Float[np.ndarray, "h w"] | None:
+def _firing_around(pictures: MotionFrames) -> Float[np.ndarray, "h w"] | None:
     """Spikes per frame in each pixel's window, if known."""
     firing = pictures.firing
     if firing is None:
@@ -52,7 +52,7 @@ def _firing_around(pictures: Stretches) -> Float[np.ndarray, "h w"] | None:
     return pictures.once("firing around", lambda: np.asarray(smooth(firing, jnp.asarray(_WINDOW))))
 
 
-def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+def at_rest(pictures: MotionFrames) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Where the recording contradicts that nothing moves, as `contradicted` says, and where it is certain that nothing
     does: any motion by half a pixel over the recording would contradict rest, and there are spikes to show it."""
 
@@ -69,7 +69,7 @@ def at_rest(pictures: Stretches) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarr
 
 
 def variance_along(
-    pictures: Stretches, motion: Motion, sharpness: float | int = 1.0, *, every: int = 1
+    pictures: MotionFrames, motion: Motion, sharpness: float | int = 1.0, *, every: int = 1
 ) -> Float[np.ndarray, "rows columns"]:
     """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels; with `every`, of one row and
     column in so many."""
@@ -103,7 +103,7 @@ def _variance(
     return jnp.maximum(squares - total**2 / jnp.maximum(seen, 1e-6), 0) / jnp.maximum(seen, 1)
 
 
-def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 1.0) -> float:
+def typical_noise(pictures: MotionFrames, motion: Motion, sharpness: float | int = 1.0) -> float:
     """Typical variance of a picture along a good motion."""
     return float(np.median(variance_along(pictures, motion, sharpness))) + 1e-5
 
@@ -114,7 +114,7 @@ def typical_noise(pictures: Stretches, motion: Motion, sharpness: float | int = 
 _MOMENTS, _LESS, _MORE = 3, 0.98, 0.02
 
 
-def counts_agree(pictures: Stretches, motion: Motion) -> bool:
+def counts_agree(pictures: MotionFrames, motion: Motion) -> bool:
     """Do the numbers of spikes along a motion of the whole scene differ less than those at rest, and more hardly
     anywhere?
 
@@ -125,7 +125,7 @@ def counts_agree(pictures: Stretches, motion: Motion) -> bool:
     counted = pictures.counted
     if counted is None:
         return True
-    counts = pictures.once("counts", lambda: Stretches(counted(), pictures.after).presmoothed(1.0))
+    counts = pictures.once("counts", lambda: MotionFrames(counted(), pictures.after).presmoothed(1.0))
     fields = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
     moving, resting = (drift(counts.picture, counts.after, jnp.ones_like(counts.after), m) for m in (fields, None))
     # Of two moments nothing is left but noise; what is seen once agrees with itself.
@@ -165,7 +165,7 @@ class Missed(NamedTuple):
         return float(np.mean(self.seen * self.error + (1 - self.seen) * _MISSED))
 
 
-def missed(pictures: Stretches, motion: Motion, noise: float, *, sparse: bool = False) -> Missed:
+def missed(pictures: MotionFrames, motion: Motion, noise: float, *, sparse: bool = False) -> Missed:
     """What a motion misses of the pictures, at every pixel or a sparse grid of them; `noise`: their typical variance
     along a good motion."""
     every = _SPARSE if sparse else 1
@@ -201,7 +201,7 @@ def _missed(
 
 
 def _evidence(
-    pictures: Stretches, motion: Motion | None
+    pictures: MotionFrames, motion: Motion | None
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
     """Score test of each window's velocity, or of rest: twice the gain in log-likelihood of the best one, how far that
     goes, and what the gain would be, at least, if the best one went half a pixel elsewhere."""

@@ -31,7 +31,7 @@ _TAIL = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Stretches:
+class MotionFrames:
     """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame.
 
     `firing` (h, w), if known: spikes per frame, mean over the recording. No picture shows changes that are faster than
@@ -45,15 +45,15 @@ class Stretches:
     firing: Float[Array, "h w"] | None = None
     counted: Callable[[], Float[Array, "n h w"]] | None = None
     _known: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
-    _presmoothed: dict[float, "Stretches"] = field(default_factory=dict, init=False, repr=False)
+    _presmoothed: dict[float, "MotionFrames"] = field(default_factory=dict, init=False, repr=False)
 
-    def presmoothed(self, sigma: float | int) -> "Stretches":
+    def presmoothed(self, sigma: float | int) -> "MotionFrames":
         """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken.
 
         Made once for each `sigma`: nearly everything that looks at pictures asks for the same few."""
         if sigma not in self._presmoothed:
             blurred = smooth(self.picture, jnp.asarray(sigma, jnp.float32), jnp.asarray(_TAIL))
-            self._presmoothed[sigma] = Stretches(blurred, self.after, self.firing)
+            self._presmoothed[sigma] = MotionFrames(blurred, self.after, self.firing)
         return self._presmoothed[sigma]
 
     def once(self, what: str, found: Callable[[], Found]) -> Found:
@@ -62,11 +62,11 @@ class Stretches:
             self._known[what] = found()
         return self._known[what]
 
-    def from_moment(self, after: float) -> "Stretches":
+    def from_moment(self, after: float) -> "MotionFrames":
         """The same pictures, with times counted from another moment, `after` so many frames."""
-        return Stretches(self.picture, self.after - after, self.firing, self.counted)
+        return MotionFrames(self.picture, self.after - after, self.firing, self.counted)
 
-    def part(self, rows: slice, columns: slice) -> "Stretches":
+    def part(self, rows: slice, columns: slice) -> "MotionFrames":
         """The pictures of a part of the sensor."""
         height, width = self.picture.shape[1:]
         if len(range(height)[rows]) == height and len(range(width)[columns]) == width:
@@ -74,14 +74,14 @@ class Stretches:
         firing = None if self.firing is None else self.firing[rows, columns]
         counted = self.counted
         of_part = None if counted is None else lambda: counted()[:, rows, columns]
-        part = Stretches(self.picture[:, rows, columns], self.after, firing, of_part)
+        part = MotionFrames(self.picture[:, rows, columns], self.after, firing, of_part)
         part._presmoothed.update({sigma: found.part(rows, columns) for sigma, found in self._presmoothed.items()})
         return part
 
 
 def stretches(
     spikes: Shaped[np.ndarray, "T h w"], *, key: int, white_rate: float | int = 0.6, most: int = 25
-) -> Stretches:
+) -> MotionFrames:
     """The recording as at most `most` pictures of equal length (about four frames or more), edge to edge.
 
     The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it
@@ -98,7 +98,7 @@ def stretches(
     rates = interval_rates(spikes, edges, white_rate=white_rate)
     firing = spike_counts(spikes).astype(np.float32) / np.float32(frames)
     known = (jnp.asarray(each, jnp.float32) for each in (rates, middle, firing))
-    return Stretches(*known, counted=lambda: _counted(spikes, edges))
+    return MotionFrames(*known, counted=lambda: _counted(spikes, edges))
 
 
 def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"]) -> Float[Array, "n h w"]:
@@ -247,3 +247,11 @@ def smooth(
 
         values = jax.lax.fori_loop(0, -(-(2 * reach + 1) // _AT_ONCE), add, jnp.zeros_like(values))
     return values
+
+
+def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:
+    """The pictures with all but the good pixels replaced by a Gaussian mean of good ones around them."""
+    weight = jnp.asarray(good, pictures.dtype)
+    reach = jnp.asarray(1.0)
+    nearby = smooth(pictures * weight[None], reach) / jnp.maximum(smooth(weight, reach), 1e-6)[None]
+    return jnp.where(jnp.asarray(good)[None], pictures, nearby)

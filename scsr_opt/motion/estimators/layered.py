@@ -21,7 +21,7 @@ from scipy import ndimage
 
 from scsr_opt._threads import in_threads
 from scsr_opt.motion.estimators.evidence import contradicted, typical_noise, variance_along
-from scsr_opt.motion.estimators.frames import Stretches, along, drift, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, along, drift, smooth
 from scsr_opt.motion.estimators.parametric import generators, parametric
 from scsr_opt.motion.inversion import Corner, bilinear, in_turn, interpolated, inverse
 from scsr_opt.motion.trajectory import Layers, Motion
@@ -69,7 +69,7 @@ _TURNS = 12
 
 
 def layered(
-    pictures: Stretches,
+    pictures: MotionFrames,
     background: Motion,
     everywhere: Motion,
     moving: Bool[np.ndarray, "h w"],
@@ -110,7 +110,7 @@ def layered(
     return [partial(made, some) for some in range(first, number + 1)]
 
 
-def relabelled(pictures: Stretches, motion: Motion) -> Motion:
+def relabelled(pictures: MotionFrames, motion: Motion) -> Motion:
     """A motion of layers with the labels found on these pictures, the layers' own motions and depths as they are; any
     other motion as it is."""
     layers = motion.layers
@@ -127,7 +127,7 @@ def relabelled(pictures: Stretches, motion: Motion) -> Motion:
 
 
 def _layers(
-    pictures: Stretches,
+    pictures: MotionFrames,
     motions: list[Motion],
     mismatches: list[Float[np.ndarray, "h w"]],
     everywhere: Motion,
@@ -163,7 +163,7 @@ def _layers(
 
 
 def _find(
-    pictures: Stretches,
+    pictures: MotionFrames,
     background: Motion,
     everywhere: Motion,
     moving: Bool[np.ndarray, "h w"],
@@ -235,7 +235,7 @@ def _affine(motion: Motion, region: Bool[np.ndarray, "h w"]) -> Motion:
 
 
 def _candidates(
-    pictures: Stretches, everywhere: Motion, region: Bool[np.ndarray, "h w"], sparse: bool
+    pictures: MotionFrames, everywhere: Motion, region: Bool[np.ndarray, "h w"], sparse: bool
 ) -> list[Callable[[], Motion]]:
     """Motions that a region may have, those first that are preferred where they serve as well; made as asked for."""
     commonest = _commonest(everywhere, region)
@@ -266,7 +266,7 @@ def _commonest(motion: Motion, region: Bool[np.ndarray, "h w"]) -> list[Motion]:
     return found
 
 
-def _sharpened(pictures: Stretches, motion: Motion, member: Bool[np.ndarray, "h w"], *, sparse: bool) -> Motion:
+def _sharpened(pictures: MotionFrames, motion: Motion, member: Bool[np.ndarray, "h w"], *, sparse: bool) -> Motion:
     """The motion fitted once more, to the inside of its layer: near the edges pictures show some of what lies behind,
     and that made an object 2 % too slow."""
     inside = cast(np.ndarray, ndimage.binary_erosion(member, iterations=_EDGE))
@@ -349,7 +349,7 @@ def _top_speed(motion: Motion, moving: Bool[np.ndarray, "h w"]) -> float:
     return float(np.quantile(motion.speed[moving], 0.95)) if moving.any() else np.inf
 
 
-def _mismatch(sharp: Stretches, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
+def _mismatch(sharp: MotionFrames, motion: Motion, noise: float) -> Float[np.ndarray, "h w"]:
     """How far the pictures along a motion differ from their mean near the key frame, in units of `noise`."""
     fields = (motion.velocity, motion.acceleration) if motion.moves else None
     sides = _sides(sharp.picture, sharp.after, fields, np.float32(noise))
@@ -414,7 +414,7 @@ def _look_up(
     return jax.lax.map(lambda q: [bilinear(field[None], q[0], q[1])[0] for field in (picture, member)], position)
 
 
-def _depth(pictures: Stretches, layers: Layers, *, sparse: bool) -> Int[np.ndarray, " layers"]:
+def _depth(pictures: MotionFrames, layers: Layers, *, sparse: bool) -> Int[np.ndarray, " layers"]:
     """How many other layers each is in front of: where two come to lie on one pixel, which of them does it show?
 
     `sparse`: one row and column in two vote.

@@ -22,7 +22,7 @@ from skimage.registration import optical_flow_ilk, optical_flow_tvl1
 
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
-from scsr_opt.motion.estimators.frames import Stretches
+from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
 from scsr_opt.motion.trajectory import Motion
 
@@ -44,7 +44,7 @@ class _PlaybackFlow(Estimator):
     def _flow(self, first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "2 h w"]:
         """f with second(q + f(q)) = first(q), sensor pixels."""
 
-    def __call__(self, pictures: Stretches) -> Motion:
+    def __call__(self, pictures: MotionFrames) -> Motion:
         images, times = np.asarray(pictures.picture), np.asarray(pictures.after, np.float64)
         number, height, width = images.shape
         if number < 2:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
-from scsr_opt.motion.estimators.frames import Stretches
+from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.inversion import Corner, bilinear, corner_of, in_turn
 from scsr_opt.motion.trajectory import Motion
 
@@ -61,7 +61,7 @@ def generators(position: Float[np.ndarray, "2 *n"], height: int, width: int) -> 
 
 
 def parametric(
-    pictures: Stretches,
+    pictures: MotionFrames,
     *,
     affine: bool = True,
     perspective: bool = True,
@@ -200,7 +200,7 @@ def _points(
     return _Points(position, generators(position, height, width), block_of.astype(np.int32), region, interval)
 
 
-def moves_as_one(pictures: Stretches) -> bool:
+def moves_as_one(pictures: MotionFrames) -> bool:
     """Does the recording ask for an affine motion of the whole scene in place of rest?
 
     A score test (`_asked_for`) without a fit. All pixels speak together, so that it hears what is far too slow for any

@@ -18,7 +18,7 @@ from skimage.registration import phase_cross_correlation
 
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
-from scsr_opt.motion.estimators.frames import Stretches
+from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.trajectory import Motion
 
 # Differences in time that the levels go up to, as shares of the recording; the first is one stretch.
@@ -48,7 +48,7 @@ class PhaseCorrelation(Estimator):
         if self.upsampling < 1:
             raise InputError(f"upsampling is {self.upsampling}; it must be a whole number of at least 1.")
 
-    def __call__(self, pictures: Stretches) -> Motion:
+    def __call__(self, pictures: MotionFrames) -> Motion:
         images = np.asarray(pictures.picture)
         number, height, width = images.shape
         if number < 2:

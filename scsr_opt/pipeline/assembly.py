@@ -1,0 +1,208 @@
+"""All that is found before the first iteration: motion, gains, samples, strength, and the problem that they make."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from scsr_opt.calibration.gain import gain_is_known, spread_of
+from scsr_opt.calibration.optics import estimate_gaussian_optics
+from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion
+from scsr_opt.operators.blur import Blur
+from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.exposure import with_exact_exposure
+from scsr_opt.pipeline.initial_image import initial_image
+from scsr_opt.pipeline.measurement import Measurements
+from scsr_opt.pipeline.outer_loop import Majorized, MajorizeMinimize
+from scsr_opt.pipeline.scene_summary import SceneSummary
+from scsr_opt.pipeline.solution import Diagnostics
+from scsr_opt.pipeline.strength import in_parts, noise_of_mean, strength_of_noise
+from scsr_opt.pipeline.task import Task
+from scsr_opt.solvers.default import default_solver
+from scsr_opt.solvers.loop import run
+from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.proximal_gradient import FISTA
+
+OPTICS_LEAST_PIXELS = 100
+"""Sensor pixels, at least, for a tenth of them to be predicted from the others when the lens is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """Eq. 4 for one picture, ready to be solved.
+
+    **Fields:**
+    - `task`; `motion`; `noise`, the standard deviation of a pixel's mean over the clip, intensity.
+    - `gain` of each pixel, (h, w), None for 1; `gain_known`, (h, w), where the scene moves far enough to tell a pixel's
+      gain; `gain_at_rest`, the gains found elsewhere, None where they were not looked for.
+    - `measured`, the samples as they were taken; `measurements`, those that are solved for, over the gains found.
+    - `scene`, the summary of what each part of the scene needed.
+    - `method`, prior, strength, lens and solver.
+    - `image`, X^(0); `near`, a picture near the solution, where one is known; `term`: M, c and e, where summed.
+    - `diagnostics` so far.
+    """
+
+    task: Task
+    motion: Motion
+    noise: float
+    gain: Float[np.ndarray, "h w"] | None
+    gain_known: Bool[np.ndarray, "h w"]
+    gain_at_rest: Float[np.ndarray, "h w"] | None
+    measured: Measurements
+    measurements: Measurements
+    scene: SceneSummary | None
+    method: MajorizeMinimize
+    image: Float[Array, "H W"]
+    near: Float[Array, "H W"] | None
+    term: DataTerm | None
+    diagnostics: Diagnostics
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is any sample to reconstruct from."""
+        return bool(self.task.clip.spikes.any()) and bool(jnp.any(self.measurements.placed.weight > 0))
+
+    @property
+    def strength(self) -> float:
+        """λ."""
+        return float(self.method.strength)
+
+    def problem(self) -> Problem:
+        """The problem that is solved: f with the motion during exposures and its exact gradient, Ψ, λ, and X^(0)."""
+        term = self.method.term(self.measurements.placed) if self.term is None else self.term
+        term = eqx.tree_at(lambda t: t.bound, term, None, is_leaf=lambda leaf: leaf is None)
+        data = with_exact_exposure(term, self.measurements.placed)
+        return Problem(data, self.method.prior, self.method.strength, start=self.image)
+
+    def solve(self, state: Any = None) -> Majorized:
+        """Solves from `image`, or goes on from `state`."""
+        return self.method(self.measurements.placed, self.image, state, near=self.near, term=self.term)
+
+    def with_validated_strength(self) -> "Assembly":
+        """This problem with the strength that predicts held-out samples."""
+        task, method = self.task, self.method
+        search = task.strength_search(
+            method.prior, method.solver, gain=self.gain, optics=method.optics, noise=self.noise
+        )
+        found = search.find(task.clip, self.motion, self.measurements, self.image)
+        method = replace(method, strength=jnp.asarray(found.strength, jnp.float32))
+        return replace(self, method=method, near=found.image, term=found.term)
+
+    def with_sums(self) -> "Assembly":
+        """This problem with M and c summed."""
+        return replace(self, term=self.method.term(self.measurements.placed, sums=self.term))
+
+
+def assemble_task(task: Task) -> Assembly:
+    """Motion, gains, samples, strength and problem of a task, in this order.
+
+    **Raises:** `InputError` where the lens is to be estimated and the recording cannot tell it.
+    """
+    seconds, began = {}, time.perf_counter()
+
+    def lap(name: str) -> None:
+        seconds[name] = time.perf_counter() - began - sum(seconds.values())
+
+    options, clip, prior = task.options, task.clip, task.options.prior
+    assert prior is not None  # Options.validated
+    shortcuts, frames = options.shortcuts, None
+    if task.estimator is not None:
+        frames = task.motion_frames(options.known_gain)
+    with ThreadPoolExecutor(1) as executor:  # what does not depend on the motion, beside it
+        noise_task = executor.submit(noise_of_mean, clip)
+        image_task = executor.submit(initial_image, clip, task.shape, sharp=True)
+        early = options.finds_gain and shortcuts.sampled_gains  # little work, where windows of the sensor tell
+        rest_task = executor.submit(task.estimate_gain_at_rest) if early else None
+        motion = task.estimate_motion(frames)
+        noise, image = noise_task.result(), image_task.result()
+    del frames  # hundreds of megabytes where the sensor is large
+    lap("motion")
+
+    gain, at_rest, spread_at_rest = options.known_gain, None, None
+    known = gain_is_known(motion.moved(len(clip.spikes)))
+    if options.finds_gain and not known.all():
+        at_rest = task.estimate_gain_at_rest() if rest_task is None else rest_task.result()
+        gain = None if (at_rest == 1).all() else np.where(known, 1, at_rest)
+        spread_at_rest = spread_of(at_rest, ~known)
+
+    λ = strength_of_noise(noise, task.scale, prior) if options.strength is None else float(options.strength)
+    method = MajorizeMinimize(
+        solver=FISTA() if options.solver is None else options.solver,
+        prior=prior,
+        strength=jnp.asarray(λ, jnp.float32),
+        optics=options.lens,
+        robust=options.robust,
+        keep_images=options.keep_images,
+        finished_tiles=shortcuts.finished_tiles,
+    )
+    path, strength_task = task.trajectory(motion), None
+    with ThreadPoolExecutor(2) as executor:
+        # Where strengths are tried on parts of the picture, these are measured anew, beside the whole.
+        if options.selects_strength and not options.estimates_optics and in_parts(clip, task.scale, options.lens):
+            search = task.strength_search(prior, method.solver, gain=gain, optics=options.lens, noise=noise)
+            strength_task = executor.submit(search.find, clip, motion, path, image)
+        measured = task.measure(motion, gain, path)
+        scene_task = executor.submit(task.summarise, motion, measured, noise)
+        lap("samples")
+    assembly = Assembly(
+        task=task,
+        motion=motion,
+        noise=noise,
+        gain=gain,
+        gain_known=known,
+        gain_at_rest=at_rest,
+        measured=measured,
+        measurements=measured,
+        scene=scene_task.result(),
+        method=method,
+        image=image,
+        near=None,
+        term=None,
+        diagnostics=Diagnostics(gain_spread_at_rest=spread_at_rest, seconds=seconds),
+    )
+    if not assembly.usable:
+        return assembly
+    if options.estimates_optics:
+        assembly = _with_estimated_optics(assembly)
+    if strength_task is not None:
+        found = strength_task.result()
+        method = replace(assembly.method, strength=jnp.asarray(found.strength, jnp.float32))
+        assembly = replace(assembly, method=method, near=found.image, term=found.term)
+    elif options.selects_strength:
+        assembly = assembly.with_validated_strength()
+    if options.solver is None:
+        apart = measured.placed.on_sensor and assembly.method.optics is None
+        solver = default_solver(prior, strength=assembly.strength, scale=task.scale, apart=apart)
+        assembly = replace(assembly, method=replace(assembly.method, solver=solver))
+    lap("strength")
+    return assembly.with_sums()
+
+
+def _with_estimated_optics(assembly: Assembly) -> Assembly:
+    """The assembly with the Gaussian lens that predicts held-out pixels best, by solves without corrections."""
+    task, motion, method = assembly.task, assembly.motion, assembly.method
+    measurements = assembly.measurements
+    moved = float(motion.speed.max()) * len(task.clip.spikes)
+    if motion.speed.size < OPTICS_LEAST_PIXELS or moved < 1:
+        raise InputError(
+            f"optics is 'estimate', but this recording has {motion.speed.size} pixels and moves by {moved:.2g} of "
+            f"them; it takes {OPTICS_LEAST_PIXELS} pixels and a motion by 1 to tell a lens from a soft picture: give "
+            f"the Blur."
+        )
+
+    def solved(term: DataTerm) -> Float[Array, "H W"]:
+        return jnp.asarray(run(method.solver, Problem(term, method.prior, method.strength), assembly.image).image)
+
+    pixel = measurements.padded.row * motion.speed.shape[1] + measurements.padded.column
+    sigma = estimate_gaussian_optics(measurements.placed, jnp.asarray(pixel), solved).sigma
+    return replace(
+        assembly,
+        method=replace(method, optics=Blur.gaussian(task.shape, sigma * task.scale)),
+        diagnostics=replace(assembly.diagnostics, optics_sigma=sigma),
+    )

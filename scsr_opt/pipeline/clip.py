@@ -1,0 +1,74 @@
+"""The frames around a key frame: what a reconstruction sees of a recording."""
+
+from typing import NamedTuple, SupportsFloat, SupportsIndex
+
+import numpy as np
+from jaxtyping import Bool, Shaped
+from numpy.typing import ArrayLike
+
+from scsr_opt._validation import bad_pixels_of, whole
+from scsr_opt.camera.recording import Recording, checked_white_rate
+
+FRAMES = 101
+"""Spike frames around the key frame that are used by default (2.5 ms at 40 kHz): enough to see every sensor pixel
+through many apertures, short enough for motion to be smooth."""
+
+
+class Clip(NamedTuple):
+    """Consecutive frames of a recording with their key frame.
+
+    **Fields:**
+    - `spikes`: (T, h, w), 0 and 1; all 0 in bad pixels.
+    - `key`: index of the key frame in `spikes`.
+    - `white_rate`: spikes per frame of a pixel at intensity 1.
+    - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
+    - `start`: frame of the recording that `spikes[0]` is.
+    """
+
+    spikes: Shaped[np.ndarray, "T h w"]
+    key: int
+    white_rate: float
+    bad_pixels: Bool[np.ndarray, "h w"] | None
+    start: int = 0
+
+    @classmethod
+    def around(
+        cls,
+        recording: Recording,
+        key: SupportsIndex | None = None,
+        *,
+        frames: SupportsIndex = FRAMES,
+        white_rate: SupportsFloat | None = None,
+        bad_pixels: ArrayLike | None = None,
+    ) -> "Clip":
+        """The `frames` frames around the key frame, or all, if the recording has fewer.
+
+        **Arguments:** `key`: a frame of the recording, the middle one if None. `white_rate`: the recording's if None.
+        `bad_pixels`: (h, w), added to the recording's own.
+
+        **Raises:** `InputError` if one of them cannot be used.
+        """
+        key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
+        start, stop = recording.around(key, whole(frames, "frames", 1))
+        rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
+        bad = bad_pixels_of(recording, bad_pixels)
+        if bad is None:
+            return cls(recording.source.view(start, stop), key - start, rate, bad, start)
+        spikes = recording.window(start, stop)
+        spikes[:, bad] = 0  # no later stage reads what a bad pixel fired
+        return cls(spikes, key - start, rate, bad, start)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w) of the sensor."""
+        return self.spikes.shape[1], self.spikes.shape[2]
+
+    @property
+    def key_frame(self) -> int:
+        """The key frame, counted from the recording's first frame."""
+        return self.start + self.key
+
+    def part(self, rows: slice, columns: slice) -> "Clip":
+        """The same frames of a rectangle of the sensor."""
+        bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
+        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad)

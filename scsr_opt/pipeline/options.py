@@ -1,0 +1,189 @@
+"""How a picture is to be solved for: `Options`, one value that is checked once, and `Shortcuts`, the work left out."""
+
+import dataclasses
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from typing import Any, Literal, SupportsFloat, SupportsIndex
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, whole
+from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
+from scsr_opt.errors import InputError
+from scsr_opt.motion.estimators.base import Estimator
+from scsr_opt.motion.trajectory import Motion
+from scsr_opt.motion.validation import validate_motion
+from scsr_opt.operators.blur import Blur
+from scsr_opt.operators.losses import Loss
+from scsr_opt.pipeline.clip import FRAMES
+from scsr_opt.pipeline.defaults import default_prior
+from scsr_opt.pipeline.strength import relative_strength
+from scsr_opt.priors.prior import Prior
+from scsr_opt.solvers.loop import Solver
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shortcuts:
+    """Work that is left out where a scene does not need it. All are on by default and change a picture by less than
+    its noise (docs/measurements.md); `Shortcuts.none()` does all of the work, to compare with.
+
+    **Fields:**
+    - `simple_motion`: a richer motion is not estimated where a simpler one contradicts nothing, and what moves apart
+      from the background is searched for only around the pixels that contradict the background.
+    - `merged_intervals`: the intervals of a pixel are merged while what it sees hardly moves, and an exposure gets only
+      as many positions as what it sees moves.
+    - `sensor_grid`: where nothing moves, samples lie on the sensor's grid, and the blurred picture is not computed in
+      between.
+    - `reused_sums`: M and c that were summed to find the strength are used again by the solve.
+    - `finished_tiles`: tiles of the picture whose residual is small are not iterated any further.
+    - `sampled_gains`: whether there is a fixed pattern is asked of some windows and some of the pixels first.
+    """
+
+    simple_motion: bool = True
+    merged_intervals: bool = True
+    sensor_grid: bool = True
+    reused_sums: bool = True
+    finished_tiles: bool = True
+    sampled_gains: bool = True
+
+    def __post_init__(self):
+        for one in fields(self):
+            flag(getattr(self, one.name), f"Shortcuts.{one.name}")
+
+    @classmethod
+    def none(cls) -> "Shortcuts":
+        """No work is left out."""
+        return cls(**{one.name: False for one in fields(cls)})
+
+    @property
+    def any(self) -> bool:
+        """Whether any work may be left out."""
+        return any(getattr(self, one.name) for one in fields(self))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Options:
+    """How a picture is to be solved for (Eq. 4); every field is also a keyword of `scsr_opt.reconstruct`.
+
+    **Fields:**
+    - `frames`: how many frames around the key frame are used (all, if the recording has fewer).
+    - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording if None.
+    - `motion`: at the key frame: a `Motion` (`Motion.constant`, `Motion.of_velocity`, `estimate_motion`), or an
+      `Estimator` (`Still`, `Global`, `Dense`, `Automatic`, …). None: `Automatic`.
+    - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
+    - `samples`: how the Y_i are made: `Intervals()` if None, or `Windows(length)`, spikes counted over `length` frames.
+    - `gain`: of each pixel, (h, w); None for 1; or "blind" to find it from the recording: where the scene moves by a
+      pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
+      (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
+      chance (`FIXED_PATTERN`). Where gains are found or given, motion is estimated over them: a pattern rests.
+    - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
+      held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
+    - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
+    - `strength`: λ; if None, the one that predicts held-out intervals best (`validated_strength`), or, with a robust
+      loss, the one by their noise. `PlugAndPlay` needs one.
+    - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting. No intervals are merged then.
+    - `solver`: if None, `FISTA`, or where nothing moves `DataProximal` (`default_solver`). Its limit of iterations
+      holds for the whole solve, corrections of exposures included; with `robust`, for each of up to eleven rounds.
+    - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
+    - `shortcuts`: the work that is left out where a scene does not need it.
+    - `keep_images`: every stage keeps its pictures.
+    """
+
+    frames: SupportsIndex = FRAMES
+    white_rate: SupportsFloat | None = None
+    motion: Motion | Estimator | None = None
+    bad_pixels: ArrayLike | None = None
+    samples: SamplingRule | None = None
+    gain: ArrayLike | Literal["auto", "blind"] | None = "auto"
+    optics: Blur | Literal["estimate"] | None = None
+    prior: Prior | None = None
+    strength: SupportsFloat | None = None
+    robust: Loss | None = None
+    solver: Solver | None = None
+    refine: SupportsIndex = 0
+    shortcuts: Shortcuts = field(default_factory=Shortcuts)
+    keep_images: bool = False
+
+    @classmethod
+    def of(cls, options: "Options | None", changes: dict[str, Any]) -> "Options":
+        """`options`, or the defaults, with these fields changed.
+
+        **Raises:** `InputError` for a field that there is not.
+        """
+        check_type(options, cls, "options", "Options(strength=0.01)")
+        known = [one.name for one in fields(cls)]
+        for name in changes:
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}."
+                raise InputError(f"There is no option {name!r}: {hint}")
+        return dataclasses.replace(options or cls(), **changes)
+
+    def validated(self, recording: Recording, scale: int) -> "Options":
+        """These options for a recording and scale: checked, numbers as Python's, and the default prior and way of
+        sampling in the place of None.
+
+        **Raises:** `InputError` for what cannot be used.
+        """
+        height, width = recording.height, recording.width
+        check_type(self.samples, SamplingRule, "samples", "Intervals()")
+        check_type(self.prior, Prior, "prior", "HuberTotalVariation()")
+        check_type(self.solver, Solver, "solver", "FISTA()")
+        check_type(self.robust, Loss, "robust", "Huber()")
+        check_type(self.shortcuts, Shortcuts, "shortcuts", "Shortcuts.none()")
+        check_type(self.lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
+        prior = default_prior(scale) if self.prior is None else self.prior
+        if self.solver is not None:
+            self.solver.check(prior)
+        if isinstance(self.motion, Motion):
+            validate_motion(self.motion, height, width)
+        elif not isinstance(self.motion, Estimator | None):
+            raise InputError(
+                f"motion is {self.motion!r}; it must be a Motion, such as Motion.constant((0.1, 0.2), ({height}, "
+                f"{width})) or Motion.of_velocity(array), or an Estimator such as Global()."
+            )
+        strength = None if self.strength is None else prior_strength(self.strength)
+        if strength is None:
+            relative_strength(prior)  # a prior without one is refused before anything is computed
+        return dataclasses.replace(
+            self,
+            samples=Intervals() if self.samples is None else self.samples,
+            gain=self.gain if self.finds_gain or self.gain is None else pixel_gain(self.gain, height, width),
+            prior=prior,
+            strength=strength,
+            refine=whole(self.refine, "refine", 0),
+            keep_images=flag(self.keep_images, "keep_images"),
+        )
+
+    @property
+    def lens(self) -> Blur | None:
+        """The lens, where it is known before the recording is looked at."""
+        return None if self.estimates_optics else self.optics  # type: ignore[return-value]
+
+    @property
+    def estimates_optics(self) -> bool:
+        """Whether the lens is to be estimated."""
+        return isinstance(self.optics, str) and self.optics == "estimate"
+
+    @property
+    def finds_gain(self) -> bool:
+        """Whether gains of pixels are to be found from the recording."""
+        return isinstance(self.gain, str) and self.gain in ("auto", "blind")
+
+    @property
+    def known_gain(self) -> Float[np.ndarray, "h w"] | None:
+        """The gains that were given, (h, w); None for 1, and where they are to be found."""
+        return None if self.finds_gain else self.gain  # type: ignore[return-value]
+
+    @property
+    def selects_strength(self) -> bool:
+        """Whether λ is validated on held-out samples; with a robust loss outliers among them would decide."""
+        return self.strength is None and self.robust is None
+
+    @property
+    def samples_apart(self) -> bool:
+        """Whether no samples are merged: with a robust loss, the mean of several would hide an outlier."""
+        return self.robust is not None

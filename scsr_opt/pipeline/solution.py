@@ -1,0 +1,119 @@
+"""What a reconstruction returns: `Solution`, its picture with all that is known of how it was found."""
+
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from scsr_opt.camera.recording import Recording
+from scsr_opt.errors import InputError
+from scsr_opt.motion.trajectory import Motion
+from scsr_opt.pipeline.scene_summary import SceneSummary
+from scsr_opt.solvers.record import Stage, Status, TileIterations
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from scsr_opt.report.summary import Report
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnostics:
+    """Numbers that a reconstruction found on its way; None where one does not apply.
+
+    **Fields:**
+    - `iterations`, `solver` (its name), `strength` λ, `objective` (Eq. 4, halved, at the picture).
+    - `samples` that were used, and `positions` along an exposure at most.
+    - `speed_max`: sensor pixels per frame. `saturated`: share of the pixels that fired in 90 % of the frames or more;
+      where they lie the picture is a lower bound.
+    - `gain_spread`, `gain_spread_at_rest`: standard deviation of the pixels' gains where the scene moves by a pixel,
+      and elsewhere.
+    - `optics_sigma`: of the lens that was estimated, sensor pixels.
+    - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
+    - `first_iterations`: where Eq. 4 was solved twice (`ridge-centred`), iterations of the first solve.
+    - `seconds`: by part of the work.
+    """
+
+    iterations: int = 0
+    samples: int = 0
+    solver: str | None = None
+    positions: int | None = None
+    strength: float | None = None
+    objective: float | None = None
+    speed_max: float | None = None
+    saturated: float | None = None
+    gain_spread: float | None = None
+    gain_spread_at_rest: float | None = None
+    optics_sigma: float | None = None
+    motion_carried: bool | None = None
+    first_iterations: int | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """A reconstruction.
+
+    **Fields:**
+    - `image`: (H, W) float32, intensity, 1 = white, linear.
+    - `recording` it is of, the `scale` s and the `key` frame (of the recording) it was solved for, and the `white_rate`
+      (spikes per frame of intensity 1) that was used.
+    - `status`: how it ended. `stages`: one record per iteration. `diagnostics`: numbers by name.
+    - `motion`: the motion that was used; None where there was none to use.
+    - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
+    - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
+    - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
+    - `state`: what a solve of a similar problem can start from (`reconstruct(…, state=…)`).
+    """
+
+    image: Float[np.ndarray, "H W"]
+    recording: Recording = field(repr=False)
+    scale: int
+    key: int
+    white_rate: float
+    status: Status
+    stages: tuple[Stage, ...] = field(default=(), repr=False)
+    diagnostics: Diagnostics = Diagnostics()
+    motion: Motion | None = field(default=None, repr=False)
+    gain: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    scene: SceneSummary | None = field(default=None, repr=False)
+    tiles: TileIterations | None = field(default=None, repr=False)
+    state: Any = field(default=None, repr=False)
+
+    @property
+    def velocity(self) -> Float[np.ndarray, "2 h w"] | None:
+        """Velocity of the motion, float32, sensor pixels per frame ([0] rows, [1] columns)."""
+        return None if self.motion is None else self.motion.velocity
+
+    @property
+    def confidence(self) -> Float[np.ndarray, "h w"] | None:
+        """How far that velocity can be trusted, in [0, 1]."""
+        return None if self.motion is None else self.motion.confidence
+
+    def plot(self, **options: Any) -> "Figure":
+        """A figure of the picture beside playback, of its motion and convergence (`scsr_opt.report.figure`)."""
+        from scsr_opt.report.figures import figure
+
+        return figure(self, **options)
+
+    def report(self) -> "Report":
+        """The numbers of the solution, for a JSON file or a reader (`scsr_opt.report.Report`)."""
+        from scsr_opt.report.summary import Report
+
+        return Report.of(self)
+
+    def save(self, path: str | os.PathLike[str], *, bits: int | None = None, gamma: float = 1.0) -> None:
+        """Writes the picture by the ending of `path` (`scsr_opt.report.write_picture`); an `.npz` also holds velocity,
+        confidence, scale and key frame.
+
+        **Raises:** `InputError` if the file cannot be written, or the solve failed and there is no picture.
+        """
+        from scsr_opt.report.pictures import write_picture
+
+        if not self.status.usable:
+            raise InputError(f"{path} was not written, as the solve failed: {self.status.message}")
+        extras = {"velocity": self.velocity, "confidence": self.confidence, "scale": self.scale, "key": self.key}
+        known = {name: value for name, value in extras.items() if value is not None}
+        write_picture(path, self.image, bits=bits, gamma=gamma, extras=known)

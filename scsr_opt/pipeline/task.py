@@ -1,0 +1,132 @@
+"""A clip, a scale and options, and the stages that need nothing else: motion, samples, summary of the scene."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from scsr_opt.calibration.gain_network import gain_at_rest
+from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.sampling_rules import Intervals
+from scsr_opt.motion.estimators.automatic import Automatic, comparable, motion_in
+from scsr_opt.motion.estimators.base import Estimator
+from scsr_opt.motion.estimators.frames import MotionFrames
+from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
+from scsr_opt.operators.operator import LinearOperator
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.measurement import Measurements, measure
+from scsr_opt.pipeline.options import Options
+from scsr_opt.pipeline.scene_summary import SceneSummary, summarise_scene
+from scsr_opt.pipeline.strength import StrengthSearch, longest_merged
+from scsr_opt.priors.prior import Prior
+from scsr_opt.solvers.loop import Solver
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One picture that is to be solved for.
+
+    **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame.
+    """
+
+    recording: Recording
+    scale: int
+    options: Options
+    clip: Clip
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the picture."""
+        return self.scale * self.clip.shape[0], self.scale * self.clip.shape[1]
+
+    @property
+    def estimator(self) -> Estimator | None:
+        """The estimator of the motion; None where the motion is given."""
+        motion = self.options.motion
+        if isinstance(motion, Motion):
+            return None
+        return Automatic(skip=self.options.shortcuts.simple_motion) if motion is None else motion
+
+    def motion_frames(self, gain: Float[np.ndarray, "h w"] | None) -> MotionFrames | None:
+        """The pictures, over these gains, by which motion is estimated; None where none can be seen."""
+        clip = self.clip
+        return comparable(clip.spikes, key=clip.key, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels, gain=gain)
+
+    def estimate_motion(self, frames: MotionFrames | None) -> Motion:
+        """The motion that these pictures show, or the one that was given."""
+        if isinstance(self.options.motion, Motion):
+            return self.options.motion
+        return Motion.none(*self.clip.shape) if frames is None else motion_in(frames, self.estimator)
+
+    def estimate_gain_at_rest(self) -> Float[np.ndarray, "h w"]:
+        """Gains of the pixels by what is known of pictures, where the scene does not move."""
+        clip = self.clip
+        return gain_at_rest(
+            clip.spikes,
+            white_rate=clip.white_rate,
+            bad_pixels=clip.bad_pixels,
+            skip=self.options.shortcuts.sampled_gains,
+        )
+
+    def trajectory(self, motion: Motion) -> Trajectory:
+        """The motion followed through all frames of the clip."""
+        return trajectory_of(motion, key=self.clip.key, start=0, stop=len(self.clip.spikes))
+
+    def measure(
+        self, motion: Motion, gain: Float[np.ndarray, "h w"] | None, path: Trajectory | None = None
+    ) -> Measurements:
+        """The samples along a motion; `path`: its trajectory, where that is known already."""
+        options = self.options
+        # Samples that are held out to find the strength must not be merged with those that are kept.
+        longest = longest_merged(self.clip, motion, self.scale, options.lens) if options.selects_strength else None
+        return measure(
+            self.clip,
+            self.trajectory(motion) if path is None else path,
+            scale=self.scale,
+            sampling=options.samples,  # type: ignore[arg-type]
+            gain=gain,
+            merge=options.shortcuts.merged_intervals,
+            longest=1 if options.samples_apart else longest,
+            on_sensor=options.shortcuts.sensor_grid and not options.refine,
+        )
+
+    def strength_search(
+        self,
+        prior: Prior,
+        solver: Solver,
+        *,
+        gain: Float[np.ndarray, "h w"] | None,
+        optics: LinearOperator | None,
+        noise: float,
+    ) -> StrengthSearch:
+        """The search for the strength that predicts held-out samples."""
+        return StrengthSearch(
+            scale=self.scale,
+            prior=prior,
+            solver=solver,
+            sampling=self.options.samples,  # type: ignore[arg-type]
+            gain=gain,
+            optics=optics,
+            noise=noise,
+            merge=self.options.shortcuts.merged_intervals,
+            reuse_sums=self.options.shortcuts.reused_sums,
+        )
+
+    def summarise(self, motion: Motion, measurements: Measurements, noise: float) -> SceneSummary | None:
+        """What each part of the scene needed; None where no work may be left out."""
+        if not self.options.shortcuts.any:
+            return None
+        samples, clip = measurements.samples, self.clip
+        summary = summarise_scene(
+            clip.spikes,
+            motion,
+            measurements.still_for,
+            measurements.merged_for,
+            pixel=np.asarray(samples.row * clip.shape[1] + samples.column),
+            light=measurements.light,
+            used=np.asarray(measurements.placed.weight)[: samples.row.size],
+            noise=noise * clip.white_rate,
+            bad_pixels=clip.bad_pixels,
+        )
+        # Only intervals are ever merged.
+        return summary if isinstance(self.options.samples, Intervals) else summary.unmerged()

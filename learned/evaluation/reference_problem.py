@@ -39,13 +39,17 @@ PRIOR = HuberTotalVariation()
 class ReferenceClip:
     """A key frame of a recording and the frames around it, as `reconstruct` cuts them out.
 
-    **Fields:** `recording`; `scale` s; `key`, a frame of the recording; `clip`, the frames that are used.
+    **Fields:** `recording`; `scale` s; `clip`, the frames that are used.
     """
 
     recording: Recording
     scale: int
-    key: int
     clip: Clip
+
+    @property
+    def key(self) -> int:
+        """The key frame, a frame of the recording."""
+        return self.clip.key_frame
 
     @property
     def shape(self) -> tuple[int, int]:

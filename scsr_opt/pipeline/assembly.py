@@ -28,6 +28,7 @@ from scsr_opt.solvers.default import default_solver
 from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
+from scsr_opt.solvers.quasi_newton import LBFGS
 
 OPTICS_LEAST_PIXELS = 100
 """Sensor pixels, at least, for a tenth of them to be predicted from the others when the lens is estimated."""
@@ -133,7 +134,8 @@ def assemble_task(task: Task) -> Assembly:
 
     λ = strength_of_noise(noise, task.scale, prior) if options.strength is None else float(options.strength)
     method = MajorizeMinimize(
-        solver=FISTA() if options.solver is None else options.solver,
+        # The default solver of the problem is chosen below, when its strength is known.
+        solver=options.solver or (FISTA() if prior.has_prox else LBFGS()),
         prior=prior,
         strength=jnp.asarray(λ, jnp.float32),
         optics=options.lens,

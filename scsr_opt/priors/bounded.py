@@ -93,6 +93,10 @@ class Bounded(Prior[BoundedState]):
         """Ψ(image) of the prior itself, within the bounds or not."""
         return self.prior.value(image)
 
+    @property
+    def has_prox(self) -> bool:
+        return self.prior.has_prox
+
     def initial_state(self, image: Float[Array, "H W"]) -> BoundedState:
         """The prior's own, and nothing held back."""
         return BoundedState(self.prior.initial_state(image), jnp.zeros_like(image))

@@ -67,6 +67,10 @@ class Centred(Prior[Any]):
         """The same, where the proximal step has found it."""
         return self.prior.value_after(self._apart(image), state)
 
+    @property
+    def has_prox(self) -> bool:
+        return self.prior.has_prox
+
     def initial_state(self, image: Float[Array, "H W"]) -> Any:
         """That of Ψ, at image − C."""
         return self.prior.initial_state(self._apart(image))

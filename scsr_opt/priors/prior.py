@@ -1,4 +1,4 @@
-"""What a prior Ψ of Eq. 4 has to offer to the solvers."""
+"""`Prior`: the base class of image priors Ψ (paper, Eq. 4)."""
 
 import abc
 from typing import ClassVar, Generic, TypeVar
@@ -8,11 +8,16 @@ import jax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt.errors import InputError
+
 State = TypeVar("State")
 
 
 class Prior(eqx.Module, Generic[State]):
     """An image prior Ψ (paper, Eq. 4), used through its value and its proximal step (paper, Eq. 5, second line).
+
+    A prior of one's own defines `value`, and either `prox` (with `initial_state`, if it remembers something) or
+    `smooth = True`; then its gradient is taken of `value`, and the solvers are `LBFGS` and `NonlinearCG`.
 
     Priors are values: whatever a proximal step wants to remember from one call to the next (the dual variable of total
     variation, say) travels through `state`, so that a solver can warm-start it and nothing is hidden.
@@ -57,13 +62,18 @@ class Prior(eqx.Module, Generic[State]):
         """The nearest picture at which Ψ is finite: the picture itself, for priors that are finite everywhere."""
         return image
 
-    @abc.abstractmethod
-    def initial_state(self, image: Float[Array, "H W"]) -> State:
-        """The state from which a first proximal step on a picture like `image` starts."""
+    @property
+    def has_prox(self) -> bool:
+        """Whether there is a proximal step. A smooth prior can do without (`LBFGS`, `NonlinearCG`)."""
+        return type(self).prox is not Prior.prox
 
-    @abc.abstractmethod
+    def initial_state(self, image: Float[Array, "H W"]) -> State:
+        """The state from which a first proximal step on a picture like `image` starts; none by default."""
+        return ()  # type: ignore[return-value]
+
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, "*pixels"], state: State
     ) -> tuple[Float[Array, "H W"], State]:
         """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call; with a strength for each
         pixel where the prior is `separable`."""
+        raise InputError(f"{type(self).__name__} has no proximal step; use LBFGS or NonlinearCG, or define prox.")

@@ -4,7 +4,7 @@ import abc
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -55,10 +55,11 @@ class Solver(eqx.Module, Generic[State]):
     - `stopping`: what is measured: `FixedPoint`, the relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step
       (or a bound on it), or `DualityGap`.
     - `tolerance`: it ends when this is not above it.
-    - `state_type`: what its states are.
+    - `state_type`: the type of its states; `uses_prox`: whether it takes proximal steps of the prior.
     """
 
     state_type: eqx.AbstractClassVar[type]
+    uses_prox: ClassVar[bool] = True
     iterations: eqx.AbstractVar[int]
     tolerance: eqx.AbstractVar[float | int]
     stopping: eqx.AbstractVar[Stopping]
@@ -74,6 +75,11 @@ class Solver(eqx.Module, Generic[State]):
 
     def check(self, prior: Prior) -> None:
         """Raises `InputError` for a prior that it cannot use."""
+        if self.uses_prox and not prior.has_prox:
+            raise InputError(
+                f"{type(self).__name__} was given {type(prior).__name__}, which has no proximal step; use LBFGS or "
+                f"NonlinearCG, or define {type(prior).__name__}.prox."
+            )
         self.stopping.check(prior)
 
     def prepared(self, problem: Problem) -> Problem:

@@ -87,6 +87,7 @@ class _Search(optx.BacktrackingArmijo):
 
 class Smooth(Solver[SmoothState]):
     state_type: ClassVar[type] = SmoothState
+    uses_prox: ClassVar[bool] = False
 
     iterations: int = 200
     tolerance: float | int = 1e-4

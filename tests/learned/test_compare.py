@@ -15,7 +15,7 @@ from skimage import data
 from learned.evaluation import compare
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.costs import cost
-from learned.evaluation.reference_problem import PRIOR, reference_problem, reference_clip
+from learned.evaluation.reference_problem import PRIOR, reference_clip, reference_problem
 from learned.evaluation.stage_report import Comparison, shown_stages
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.training import checkpoint

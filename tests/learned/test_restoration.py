@@ -10,7 +10,7 @@ import pytest
 from skimage import data
 
 from learned.evaluation.compare import compare_stages
-from learned.evaluation.reference_problem import reference_problem, reference_clip
+from learned.evaluation.reference_problem import reference_clip, reference_problem
 from learned.networks.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
 from learned.training import checkpoint
 from learned.training.data import Example

@@ -15,7 +15,7 @@ from skimage import data
 import learned
 from learned import zoo
 from learned.evaluation import inference, reference_problem
-from learned.evaluation.reference_problem import ReferenceProblem, reference_problem, read, reference_clip
+from learned.evaluation.reference_problem import ReferenceProblem, read, reference_clip, reference_problem
 from learned.networks.restoration import RestorationConfig, RestorationNet
 from learned.networks.spikesr import SpikeSRConfig, SpikeSRNet
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA

@@ -12,8 +12,9 @@ _STEEPEST = 5.0
 
 
 def default_solver(prior: Prior, *, strength: float, scale: int, apart: bool) -> Solver:
-    """`DataProximal` where the data are `apart` (`DataTerm.apart`) and that is the faster one, `FISTA` elsewhere; `LBFGS` for a
-    smooth prior without a proximal step.
+    """`DataProximal` where the data are `apart` (`DataTerm.apart`) and that is the faster one, `FISTA` elsewhere.
+
+    `LBFGS` for a smooth prior without a proximal step.
 
     Weights are scaled so that M ≤ 1 (`Problem`), and then L is at most 1/s².
     """

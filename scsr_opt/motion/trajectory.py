@@ -123,7 +123,8 @@ class Motion(eqx.Module):
         **Raises:** `InputError` unless there are two finite numbers.
         """
         try:
-            pair = np.asarray(velocity, np.float32)
+            with np.errstate(over="ignore"):  # becomes infinite, and is refused as such
+                pair = np.asarray(velocity, np.float32)
         except (TypeError, ValueError):
             pair = np.zeros(0, np.float32)
         if pair.shape != (2,) or not np.isfinite(pair).all():

@@ -118,8 +118,8 @@ class Options:
         for name in changes:
             if name not in known:
                 near = get_close_matches(name, known, 1)
-                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}."
-                raise InputError(f"There is no option {name!r}: {hint}")
+                hint = f" (did you mean {near[0]}?)" if near else ""
+                raise InputError(f"There is no option {name!r}{hint}; there are {', '.join(known)}.")
         return dataclasses.replace(options or cls(), **changes)
 
     def validated(self, recording: Recording, scale: int) -> "Options":

@@ -90,7 +90,7 @@ def assemble(
         raise InputError("assemble was given a robust loss; it gives the problem with squares: leave robust out.")
     assembly = assemble_task(task)
     if not assembly.usable:
-        raise InputError(f"There is no problem to assemble. {Status.no_samples.message}")
+        raise InputError(f"There is no problem to assemble: {Status.no_samples.clause}.")
     return assembly.problem()
 
 

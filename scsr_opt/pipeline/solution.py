@@ -113,7 +113,7 @@ class Solution:
         from scsr_opt.report.pictures import write_picture
 
         if not self.status.usable:
-            raise InputError(f"{path} was not written, as the solve failed: {self.status.message}")
+            raise InputError(f"{path} was not written, as the solve failed: {self.status.clause}.")
         extras = {"velocity": self.velocity, "confidence": self.confidence, "scale": self.scale, "key": self.key}
         known = {name: value for name, value in extras.items() if value is not None}
         write_picture(path, self.image, bits=bits, gamma=gamma, extras=known)

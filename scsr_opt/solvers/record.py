@@ -33,6 +33,11 @@ class Status(enum.Enum):
         return self.value
 
     @property
+    def clause(self) -> str:
+        """The message as the end of another sentence: without its capital and its full stop."""
+        return self.value[0].lower() + self.value[1:-1]
+
+    @property
     def usable(self) -> bool:
         """Whether the picture may be used."""
         return self not in (Status.non_finite, Status.no_samples)

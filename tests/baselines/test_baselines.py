@@ -24,6 +24,7 @@ from scsr_opt.baselines.single_image import _SMOOTHING, noise_level
 from scsr_opt.camera import Recording, Sensor, Simulation, Static, Translation, simulate, stp, tfi, tfp
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
+from scsr_opt.motion import Motion
 from scsr_opt.report import bicubic
 
 EVERY = pytest.mark.parametrize("name", BASELINES)
@@ -41,7 +42,7 @@ def moving(scale: int) -> Simulation:
 
 def picture(name: str, spikes, **arguments) -> np.ndarray:
     """A baseline's picture at scale 2 (one scale, so that everything is compiled once), the motion known."""
-    known = {"velocity": VELOCITY} if name in MULTI_FRAME else {}
+    known = {"motion": Motion.constant(VELOCITY, spikes.shape[1:])} if name in MULTI_FRAME else {}
     return BASELINES[name](spikes, **{"scale": 2, **known, **arguments})
 
 
@@ -182,7 +183,7 @@ def test_values_are_put_where_they_belong():
 def test_shift_and_add_gives_the_picture_as_a_pixel_blurs_it():
     made = moving(3)
     blurred = uniform_filter(made.truth(30.0), 3, mode="nearest")
-    image = shift_and_add(made.spikes, scale=3, velocity=VELOCITY)
+    image = shift_and_add(made.spikes, scale=3, motion=Motion.constant(VELOCITY, made.spikes.shape[1:]))
     # Beside the aperture there is the bilinear weight and the motion during an interval, half a pixel each.
     assert psnr(blurred, image, 12) > 30
     assert psnr(blurred, image, 12) > psnr(blurred, tfp_bicubic(made.spikes, scale=3), 12) + 4
@@ -197,7 +198,7 @@ def test_shift_and_add_gives_the_picture_as_a_pixel_blurs_it():
 def test_shift_and_add_closes_holes():
     """At rest and ×4, a quarter of the pixels are near a measurement; the others lie between the values around them."""
     spikes = simulate(Static(PICTURE), scale=4, frames=61, seed=1).spikes
-    image = shift_and_add(spikes, scale=4, velocity=(0.0, 0.0))
+    image = shift_and_add(spikes, scale=4, motion=Motion.none(*spikes.shape[1:]))
     truth = simulate(Static(PICTURE), scale=4, frames=61, seed=1).truth(30.0)
     assert psnr(truth, image, 16) > psnr(truth, tfp_bicubic(spikes, scale=4), 16) - 0.5
     assert 0 <= image.min() and image.max() <= 1 / 0.6

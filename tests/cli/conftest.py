@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import scsr_opt
+from scsr_opt import Diagnostics, Solution, Stage, Status
 from scsr_opt.camera import Recording, tfp, write_recording
 from scsr_opt.cli import main
 from scsr_opt.motion import Motion
-from scsr_opt.solvers import Solution, Stage, Status
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40
 
@@ -49,7 +49,17 @@ def asked(monkeypatch) -> list[dict]:
         image = np.kron(tfp(spikes, key, white_rate=spikes.white_rate), np.ones((scale, scale), np.float32))
         stages = tuple(Stage(t, 1.0 / t, 0.5 / t, 0.5 / t, 0.1**t, 0.5) for t in (1, 2))
         velocity = np.zeros((2, *image.shape), np.float32)[:, ::scale, ::scale]
-        return Solution(image, stages, Status.converged, {"iterations": 2}, Motion.of_velocity(velocity))
+        return Solution(
+            image=image,
+            recording=spikes,
+            scale=scale,
+            key=key,
+            white_rate=spikes.white_rate,
+            status=Status.converged,
+            stages=stages,
+            diagnostics=Diagnostics(iterations=2),
+            motion=Motion.of_velocity(velocity),
+        )
 
     monkeypatch.setattr(scsr_opt, "reconstruct", stand_in, raising=False)
     return calls

@@ -85,7 +85,7 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
     ],
 )
 def test_compare_refuses_before_it_starts(scsr, here, file, monkeypatch, options, message):
-    monkeypatch.setattr(compare, "pose", lambda *_, **__: pytest.fail("it has begun to work"))
+    monkeypatch.setattr(compare, "reference_problem", lambda *_, **__: pytest.fail("it has begun to work"))
     monkeypatch.setattr(zoo, "CHECKPOINTS", here)
     write_picture("small.npz", np.zeros((3, 4), np.float32))
     given = dict(zip(options[::2], options[1::2], strict=True))

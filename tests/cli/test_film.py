@@ -7,25 +7,32 @@ import pytest
 from PIL import Image
 
 import scsr_opt
+from scsr_opt import Diagnostics, Solution, Status
 from scsr_opt.report import read_picture
-from scsr_opt.solvers import Solution, Status
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 
 
 @pytest.fixture
 def asked(monkeypatch) -> list[dict]:
-    """Puts a quick stand-in in the place of `sequence`; returns what it was called with."""
+    """Puts a quick stand-in in the place of `reconstruct_sequence`; returns what it was called with."""
     calls: list[dict] = []
 
     def stand_in(recording, keys, *, scale, **others):
         calls.append({"recording": recording, "keys": keys, "scale": scale, **others})
         for number, key in enumerate(keys):
             image = np.full((scale * HEIGHT, scale * WIDTH), key / FRAMES, np.float32)
-            result = Status.non_finite if key == 13 else Status.converged
-            yield Solution(image, (), result, {"carried": number not in (0, 2)})
+            yield Solution(
+                image=image,
+                recording=recording,
+                scale=scale,
+                key=key,
+                white_rate=recording.white_rate,
+                status=Status.non_finite if key == 13 else Status.converged,
+                diagnostics=Diagnostics(motion_carried=number not in (0, 2)),
+            )
 
-    monkeypatch.setattr(scsr_opt, "sequence", stand_in, raising=False)
+    monkeypatch.setattr(scsr_opt, "reconstruct_sequence", stand_in, raising=False)
     return calls
 
 
@@ -46,7 +53,7 @@ def test_film_hands_on_what_is_to_be_solved_and_writes_pictures(scsr, file, aske
     options = ["--frames", "21", "--strength", "0.3", "--motion", "global", "--step", "10", "--pictures", "pictures"]
     assert scsr("film", file, "-o", "a.gif", *options, "--quiet") == ""
     (call,) = asked
-    assert call["frames"] == 21 and call["strength"] == 0.3 and type(call["velocity"]).__name__ == "Global"
+    assert call["frames"] == 21 and call["strength"] == 0.3 and type(call["motion"]).__name__ == "Global"
     assert sorted(os.listdir("pictures")) == ["00.tif", "10.tif", "20.tif", "30.tif"]
     np.testing.assert_allclose(read_picture("pictures/20.tif"), 20 / FRAMES, rtol=1e-6)
 

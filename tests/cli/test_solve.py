@@ -3,19 +3,28 @@
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import scsr_opt
-from scsr_opt.camera import tfp
+from scsr_opt import Diagnostics, Shortcuts, Solution, Stage, Status
+from scsr_opt.camera import Recording, tfp
 from scsr_opt.errors import InputError
-from scsr_opt.pipeline.scene_summary import Plan
+from scsr_opt.pipeline.scene_summary import SceneSummary
 from scsr_opt.report import bicubic, read_picture
-from scsr_opt.solvers import Active, Solution, Stage, Status
+from scsr_opt.solvers import TileIterations
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
+
+
+def solved(image: np.ndarray, status: Status = Status.converged, **fields: Any) -> Solution:
+    """A solution of a dark recording at scale 2."""
+    recording = Recording.from_array(np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8))
+    known = {"recording": recording, "scale": 2, "key": 15, "white_rate": 0.6}
+    return Solution(image=image, status=status, **known, **fields)
 
 
 def test_solve_writes_all_that_was_asked_for(scsr, file, asked, spikes):
@@ -28,8 +37,8 @@ def test_solve_writes_all_that_was_asked_for(scsr, file, asked, spikes):
     assert lines[3:] == ["a.png", "a.json", "f.png"]
     (call,) = asked
     assert (np.asarray(call["spikes"]) == spikes).all() and call["spikes"].white_rate == 0.6
-    assert call["key"] == 10 and call["scale"] == 2 and call["frames"] == 101
-    assert call.keys() == {"spikes", "scale", "key", "frames"}  # the rest is left to the defaults
+    assert call["key"] == 10 and call["scale"] == 2
+    assert call.keys() == {"spikes", "scale", "key"}  # the rest is left to the defaults
     wanted = np.kron(tfp(spikes, 10, white_rate=0.6), np.ones((2, 2))).clip(0, 1)
     assert read_picture("a.png") == pytest.approx(wanted, abs=0.5 / 255 + 1e-6)
     told = json.loads(Path("a.json").read_text())
@@ -45,10 +54,12 @@ def test_solve_is_silent_when_asked(scsr, file, asked):
 
 
 def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
-    plan = Plan(np.array([[0, 2, 2]]), np.array([[31, 1, 1]]), np.ones((1, 3), np.float32), "2 layers", 500, 200)
+    scene = SceneSummary(
+        np.array([[0, 2, 2]]), np.array([[31, 1, 1]]), np.ones((1, 3), np.float32), "2 layers", 500, 200
+    )
     stages = (Stage(1, 1.0, 0.5, 0.5, 2e-4, 1.0),)
-    stats = {"seconds": {"motion": 0.5}, "solver": "DataProximal", "positions": 1}
-    solution = Solution(np.zeros((48, 80), np.float32), stages, Status.converged, stats, plan=plan)
+    diagnostics = Diagnostics(seconds={"motion": 0.5}, solver="DataProximal", positions=1)
+    solution = solved(np.zeros((48, 80), np.float32), stages=stages, diagnostics=diagnostics, scene=scene)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
@@ -59,22 +70,23 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
 
 
 def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
-    plan = Plan(np.array([[2, 2]]), np.array([[1, 1]]), np.ones((1, 2), np.float32), "2 layers", 500, 500)
-    active = Active(7, np.array([[0, 12]]), 64, 8e-4, 1e-3)
+    scene = SceneSummary(np.array([[2, 2]]), np.array([[1, 1]]), np.ones((1, 2), np.float32), "2 layers", 500, 500)
+    tiles = TileIterations(7, np.array([[0, 12]]), 64, 8e-4, 1e-3)
     stages = (Stage(1, 1.0, 0.5, 0.5, 5e-5, 1.0),)
-    image, stats = (
-        np.zeros((48, 80), np.float32),
-        {"seconds": {"motion": 0.5}, "active": active.numbers, "positions": 5},
-    )
-    solution = Solution(image, stages, Status.converged, stats, plan=plan, active=active)
+    diagnostics = Diagnostics(seconds={"motion": 0.5}, positions=5)
+    image = np.zeros((48, 80), np.float32)
+    solution = solved(image, stages=stages, diagnostics=diagnostics, scene=scene, tiles=tiles)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     given = ("--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png", "--report", "a.json")
     said = scsr("solve", file, *given)
-    assert "Iterations: 7 of the whole picture; 1 of its 2 tiles were gone on with, up to 12 more" in said
+    assert "Iterations: 7 of the whole picture; 1 of its 2 tiles had up to 12 more, the others were finished." in said
     assert "exposures corrected as they were last, would change the picture by 0.005 % at most." in said
-    assert "One more would change no tile by more than 0.08 % of the picture's level (asked: 0.1 %)." in said
-    told = json.loads(Path("a.json").read_text())["stats"]["active"]
-    assert told == {"tiles": 2, "gone_on_with": 1, "most_iterations": 19, "worst": 8e-4, "limit": 1e-3}
+    assert "One more iteration would change no tile by more than 0.08 % of the picture's level (limit: 0.1 %)." in said
+    told = json.loads(Path("a.json").read_text())
+    assert told["tiles"] == {
+        "tiles": 2, "tiles_iterated_further": 1, "most_iterations": 19, "largest_change": 8e-4, "change_limit": 1e-3
+    }  # fmt: skip
+    assert told["scene"]["scene"] == "2 layers" and told["scene"]["samples"] == told["scene"]["intervals"] == 500
     with Image.open("plan.png") as figure:
         coloured = np.ptp(np.asarray(figure.convert("RGB"), int), axis=-1) > 30
         assert coloured[:, figure.width // 2 :].sum() > 1000  # the tile that was gone on with, and the scale
@@ -83,7 +95,7 @@ def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
 def test_all_is_done_when_asked(scsr, file, asked):
     said = scsr("solve", file, "-o", "a.png", "--no-skip", "--explain")
     (call,) = asked
-    assert call["skip"] is False and "Nothing was skipped." in said
+    assert call["shortcuts"] == Shortcuts.none() and "No work was left out." in said
 
 
 def test_solve_takes_frames_around_the_key(scsr, file, asked):
@@ -125,19 +137,19 @@ def test_solve_refuses_before_it_starts(scsr, here, file, asked, options, messag
 
 def test_a_failed_solve_writes_no_picture(scsr, here, monkeypatch, file):
     def fail(spikes, *, scale, **_):
-        return Solution(np.full((96, 160), np.nan, np.float32), (), Status.no_samples)
+        return solved(np.full((96, 160), np.nan, np.float32), Status.no_samples)
 
     monkeypatch.setattr(scsr_opt, "reconstruct", fail, raising=False)
     (here / "a.png").write_text("the old one")
     said = scsr("solve", file, "-o", "a.png", "--report", "a.json", "--figure", "f.png", code=1)
-    assert said == f"scsr: error: No picture was written: t{Status.no_samples.sentence[1:]}\n"
+    assert said == f"scsr: error: No picture was written: t{Status.no_samples.message[1:]}\n"
     assert sorted(os.listdir(here)) == ["a.json", "a.png", "ramp.npz"] and (here / "a.png").read_text() == "the old one"
-    assert json.loads((here / "a.json").read_text())["result"]["name"] == "no_samples"
+    assert json.loads((here / "a.json").read_text())["status"]["name"] == "no_samples"
 
 
 def test_a_picture_that_is_not_finite_is_an_error(scsr, here, monkeypatch, file):
     def lie(spikes, *, scale, **_):
-        return Solution(np.full((96, 160), np.nan, np.float32), (), Status.converged)
+        return solved(np.full((96, 160), np.nan, np.float32))
 
     monkeypatch.setattr(scsr_opt, "reconstruct", lie, raising=False)
     assert "are not finite, so it is not written" in scsr("solve", file, "-o", "a.png", code=2)
@@ -146,8 +158,8 @@ def test_a_picture_that_is_not_finite_is_an_error(scsr, here, monkeypatch, file)
 
 def test_solve_tells_what_it_learned_of_the_camera(scsr, monkeypatch, file):
     def learn(spikes, *, scale, **_):
-        stats = {"iterations": 0, "optics_sigma": 0.527, "gain_spread": 0.0431, "gain_spread_at_rest": 0.0267}
-        return Solution(np.zeros((96, 160), np.float32), (), Status.converged, stats)
+        found = Diagnostics(optics_sigma=0.527, gain_spread=0.0431, gain_spread_at_rest=0.0267)
+        return solved(np.zeros((96, 160), np.float32), diagnostics=found)
 
     monkeypatch.setattr(scsr_opt, "reconstruct", learn, raising=False)
     said = scsr("solve", file, "-o", "a.png")

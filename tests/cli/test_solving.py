@@ -24,7 +24,7 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
     field[0], field[1] = 2, 3
     np.save(here / "v.npy", field)
     scsr("solve", file, "-o", "a.png", "--motion", motion)
-    velocity = asked[0]["velocity"]
+    velocity = asked[0]["motion"].velocity
     assert velocity.shape == (2, HEIGHT, WIDTH) and velocity.dtype == np.float32
     assert velocity[0] == pytest.approx(expected[0]) and velocity[1] == pytest.approx(expected[1])
 
@@ -32,12 +32,12 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
 @pytest.mark.parametrize(
     ("options", "name", "value"),
     [
-        ("--motion none", "velocity", Still()),
-        ("--motion global", "velocity", Global()),
-        ("--motion dense", "velocity", Dense()),
-        ("--motion phase", "velocity", PhaseCorrelation()),
-        ("--motion ilk", "velocity", ILK()),
-        ("--motion tvl1", "velocity", TVL1()),
+        ("--motion none", "motion", Still()),
+        ("--motion global", "motion", Global()),
+        ("--motion dense", "motion", Dense()),
+        ("--motion phase", "motion", PhaseCorrelation()),
+        ("--motion ilk", "motion", ILK()),
+        ("--motion tvl1", "motion", TVL1()),
         ("--refine 2", "refine", 2),
         ("--samples windows:9", "samples", Windows(9)),
         ("--robust huber", "robust", Huber()),
@@ -75,7 +75,7 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
 def test_choices_are_passed_on(scsr, file, asked, options, name, value):
     scsr("solve", file, "-o", "a.png", *options.split())
     assert type(asked[0][name]) is type(value) and asked[0][name] == value
-    assert asked[0].keys() == {"spikes", "scale", "key", "frames", name}
+    assert asked[0].keys() == {"spikes", "scale", "key", name}
 
 
 def test_the_learned_prior(scsr, file, asked):
@@ -91,7 +91,7 @@ def test_what_is_said_is_the_default_changes_nothing(scsr, file, asked):
     scsr(
         "solve", file, "-o", "a.png", "--motion", "auto", "--samples", "intervals", "--solver", "auto", "--refine", "0"
     )  # fmt: skip
-    assert asked[0].keys() == {"spikes", "scale", "key", "frames"}
+    assert asked[0].keys() == {"spikes", "scale", "key"}
 
 
 def test_every_solver_and_prior_by_its_name():

@@ -218,7 +218,7 @@ def test_which_stages_are_shown(count, shown):
 
 
 def test_what_cannot_be(recording, plain, monkeypatch):
-    monkeypatch.setattr(compare, "pose", lambda *_, **__: pytest.fail("it has begun to work"))
+    monkeypatch.setattr(compare, "reference_problem", lambda *_, **__: pytest.fail("it has begun to work"))
     for models, changes, message in (
         ([], {}, "name at least one model"),
         (["magic"], {}, "no model 'magic'"),
@@ -238,4 +238,4 @@ def test_what_cannot_be(recording, plain, monkeypatch):
 def test_a_recording_of_darkness():
     with pytest.raises(InputError) as caught:
         compare_stages(np.zeros((41, 20, 24), np.uint8), ["fista-huber"], scale=2)
-    assert str(caught.value) == Status.no_samples.sentence
+    assert str(caught.value) == Status.no_samples.message

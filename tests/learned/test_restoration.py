@@ -138,7 +138,8 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     assert count == first.diagnostics.iterations and found.diagnostics.iterations == len(found.stages) > count
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     assert {"first solve", "restoring"} <= set(found.diagnostics.seconds)
-    assert found.diagnostics.strength == pytest.approx(2 * first.diagnostics.strength)
+    λ = first.diagnostics.strength
+    assert λ is not None and found.diagnostics.strength == pytest.approx(2 * λ)
     # The objective falls but for rounding: f is the small difference of two numbers as large as ½ e, known to a last
     # digit of that before and after a step.
     # It begins with the data term at the first solution.

@@ -20,7 +20,8 @@ from scsr_opt.camera.scenes import Translation
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators import accumulate
-from scsr_opt.pipeline.clip import Clip, measured
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.measurement import measure
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.solvers import ISTA, Problem
 
@@ -69,7 +70,7 @@ def net() -> UnrolledISTA:
 
 
 def samples_of(case: Case):
-    return measured(case.clip, case.motion, scale=SCALE, measuring=Intervals())
+    return measure(case.clip, case.motion, scale=SCALE, sampling=Intervals())
 
 
 def steps_of_the_solver(problem: Problem, start: jax.Array, number: int) -> tuple[list[jax.Array], list[jax.Array]]:

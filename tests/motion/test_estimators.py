@@ -14,12 +14,13 @@ from scsr_opt.motion import (
     Dense,
     Estimator,
     Global,
+    Motion,
     PhaseCorrelation,
     Still,
     estimate_motion,
-    given,
 )
 from scsr_opt.motion.estimators.frames import MotionFrames, stretches
+from scsr_opt.motion.validation import validate_motion
 
 EVERY = [Still(), Global(), Global(affine=False), Dense(), Automatic(), PhaseCorrelation(), ILK(), TVL1()]
 MOVING = EVERY[1:]
@@ -205,13 +206,35 @@ def test_a_key_frame_near_an_end(key, recording):
     assert np.abs(np.median(velocity, axis=(1, 2)) - [0.18, -0.24]).max() < 0.02
 
 
-def test_a_velocity_handed_in():
-    assert given(np.array([0.5, -1.0]), 4, 6).velocity[:, 3, 2].tolist() == [0.5, -1.0]
-    field = np.random.default_rng(0).standard_normal((2, 4, 6))
-    np.testing.assert_allclose(given(field, 4, 6).velocity, field, rtol=1e-6)
-    for wrong in (np.zeros((4, 6, 2)), np.zeros((2, 5, 6)), np.zeros(3), np.array([np.nan, 0.0])):
-        with pytest.raises(InputError):
-            given(wrong, 4, 6)
+def test_constant_two_numbers_are_the_velocity_everywhere():
+    """Whatever they are handed in as; speeds and acceleration follow."""
+    for pair in ((0.5, -1.0), [0.5, -1], np.array([0.5, -1.0]), np.array([0.5, -1.0], np.float32)):
+        motion = Motion.constant(pair, (4, 6))
+        assert motion.velocity.shape == (2, 4, 6) and motion.velocity.dtype == np.float32
+        assert (motion.velocity[0] == 0.5).all() and (motion.velocity[1] == -1.0).all()
+        assert not motion.acceleration.any() and (motion.confidence == 1).all() and motion.layers is None
+    assert validate_motion(Motion.constant((0, 0), (4, 6)), 4, 6).velocity.shape == (2, 4, 6)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [(1.0,), (1.0, 2.0, 3.0), (), (np.nan, 0.0), (0.0, np.inf), (1e39, 0.0), np.zeros((2, 4, 6)), np.zeros((2, 1))],
+    ids=str,
+)
+def test_constant_other_than_two_finite_numbers_is_refused(wrong):
+    with pytest.raises(InputError, match="it must be two finite numbers .down, right."):
+        Motion.constant(wrong, (4, 6))
+
+
+def test_of_velocity_keeps_the_field_and_is_validated_by_the_sensor():
+    field = np.random.default_rng(0).standard_normal((2, 4, 6)).astype(np.float32)
+    motion = Motion.of_velocity(field)
+    np.testing.assert_array_equal(validate_motion(motion, 4, 6).velocity, field)
+    with pytest.raises(InputError, match=r"motion.velocity has shape \(2, 4, 6\); for this recording it must be"):
+        validate_motion(motion, 5, 6)
+    field[0, 1, 2] = np.nan
+    with pytest.raises(InputError, match="motion.velocity holds values that are not finite"):
+        validate_motion(Motion.of_velocity(field), 4, 6)
 
 
 def test_one_picture_cannot_be_compared(pictures):

@@ -13,7 +13,8 @@ from scsr_opt.motion.estimators import layered
 from scsr_opt.motion.estimators.automatic import comparable
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.trajectory import SPACING, Layers
-from scsr_opt.pipeline.measurement import Stream, measured
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.measurement import measure
 
 KEY, FRAMES = 40, 81
 SPEED = 0.25  # sensor pixels per frame, to the right
@@ -72,8 +73,8 @@ def test_intervals_of_a_pixel_that_something_passes_are_not_merged():
     assert not fastest[:8].any() and not fastest[:, 37:].any()
     spikes = np.zeros((FRAMES, 30, 40), np.uint8)
     spikes[::4] = 1
-    stream = Stream(spikes, KEY, 0.6, None)
-    samples = measured(stream, motion, scale=2, measuring=Intervals(ends=0.0)).samples
+    clip = Clip(spikes, KEY, 0.6, None)
+    samples = measure(clip, motion, scale=2, sampling=Intervals(ends=0.0)).samples
     number = np.bincount(samples.row * 40 + samples.column, minlength=1200).reshape(30, 40)
     assert (number[12:18, 27:33] > 10).all()
     assert (number[:8] == 1).all()

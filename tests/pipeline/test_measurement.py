@@ -11,7 +11,8 @@ from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.operators.sampling import moments
-from scsr_opt.pipeline.measurement import _POSITIONS, _REACHES, Measurements, _longest_first, clip_around, measured
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.measurement import _POSITIONS, _REACHES, Measurements, _longest_first, measure
 
 HEIGHT, WIDTH, FRAMES = 24, 32, 65
 
@@ -25,13 +26,13 @@ def spikes() -> np.ndarray:
 
 
 def measurements(spikes: np.ndarray, speed: np.ndarray | float, **options) -> Measurements:
-    _, stream = clip_around(Recording.from_array(spikes), key=32, frames=FRAMES, white_rate=0.6)
+    clip = Clip.around(Recording.from_array(spikes), 32, frames=FRAMES, white_rate=0.6)
     velocity = np.zeros((2, HEIGHT, WIDTH), np.float32)
     velocity[1] = speed
-    return measured(stream, Motion.of_velocity(velocity), scale=2, measuring=Intervals(), **options)
+    return measure(clip, Motion.of_velocity(velocity), scale=2, sampling=Intervals(), **options)
 
 
-def test_each_exposure_gets_the_positions_that_its_motion_needs(spikes):
+def test_measure_each_exposure_has_the_positions_that_its_motion_needs(spikes):
     """As many as miss no more than 0.0013 of the light, as far as five positions go."""
     taken = measurements(spikes, 0.09)
     moved = 0.09 * (taken.samples.stop - taken.samples.start)
@@ -80,11 +81,10 @@ def seen_until(frame: int) -> Trajectory:
 
 
 @pytest.mark.parametrize("how", ["hidden", "out of the picture"])
-def test_intervals_are_not_merged_while_what_they_see_is_lost(how):
+def test_measure_intervals_of_what_is_lost_are_not_merged(how):
     """Saturated all the time: merged by fours, but for the four frames in which the pixel is hidden, or sees beyond."""
-    _, stream = clip_around(
-        Recording.from_array(np.ones((FRAMES, HEIGHT, WIDTH), np.uint8)), key=32, frames=FRAMES, white_rate=1.0
-    )
+    spikes = np.ones((FRAMES, HEIGHT, WIDTH), np.uint8)
+    clip = Clip.around(Recording.from_array(spikes), 32, frames=FRAMES, white_rate=1.0)
     # The scene moves a little, so that nothing else is merged.
     path = seen_until(20)
     moving = 0.1 * SPACING * jnp.arange(len(path.visible), dtype=jnp.float32)[:, None, None, None]
@@ -93,7 +93,7 @@ def test_intervals_are_not_merged_while_what_they_see_is_lost(how):
     if how != "hidden":
         position, visible = jnp.where(visible[:, None] == 0, -1.0, position), jnp.ones(visible.shape)
     path = Trajectory(path.first, position, visible)
-    samples = measured(stream, path, scale=2, measuring=Intervals(ends=0)).samples
+    samples = measure(clip, path, scale=2, sampling=Intervals(ends=0)).samples
     there = (samples.row == 1) & (samples.column == 2)
     assert sorted(samples.start[there]) == [*range(0, 16, 4), 16, 17, 18, 19, *range(20, 64, 4)]
     elsewhere = (samples.row == 5) & (samples.column == 5)

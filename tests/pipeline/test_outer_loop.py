@@ -3,15 +3,16 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scsr_opt.pipeline.preparation import Prepared, prepare
 from skimage import data
 
-from scsr_opt import Status
+from scsr_opt import Options, Status
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Translation
+from scsr_opt.motion import Motion
 from scsr_opt.operators import accumulate, with_exposure
 from scsr_opt.pipeline import outer_loop
-from scsr_opt.pipeline.reconstruct import solve
+from scsr_opt.pipeline.assembly import Assembly, assemble_task
+from scsr_opt.pipeline.reconstruct import solve, task_of
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import NoProgress
 from scsr_opt.solvers import ADMM, FISTA, ISTA, LBFGS, ChambollePock, CondatVu, JaxoptFISTA, NonlinearCG, Problem, run
@@ -29,50 +30,51 @@ def spikes() -> np.ndarray:
     return simulate(scene, scale=SCALE, frames=FRAMES, sensor=Sensor(white_rate=0.3, photons=500.0), seed=3).spikes
 
 
-def prepared(spikes: np.ndarray, solver, **options) -> Prepared:
-    return prepare(
-        spikes, scale=SCALE, velocity=VELOCITY, white_rate=0.3, prior=HuberTotalVariation(), strength=3e-3, gain=None,
-        solver=solver, **options,
-    )  # fmt: skip
+def assembled(spikes: np.ndarray, solver) -> Assembly:
+    motion = Motion.constant(VELOCITY, spikes.shape[1:])
+    options = Options(
+        motion=motion, white_rate=0.3, prior=HuberTotalVariation(), strength=3e-3, gain=None, solver=solver
+    )
+    return assemble_task(task_of(spikes, SCALE, KEY, options))
 
 
-def exact(problem: Prepared, image: np.ndarray) -> float:
+def exact(assembly: Assembly, image: np.ndarray) -> float:
     """½ Σ_j ω_j (r_j·B X − Y_j)² + λ Ψ(X), each r_j along all of its exposure."""
-    placed, rounds = problem.taken.placed, problem.rounds
+    placed, method = assembly.measurements.placed, assembly.method
     seen = placed.read(accumulate(placed).blurred(jnp.asarray(image)))
-    penalty = float(rounds.prior.value(jnp.asarray(image)))
-    return 0.5 * float(placed.weight @ (seen - placed.value) ** 2) + float(rounds.strength) * penalty
+    penalty = float(method.prior.value(jnp.asarray(image)))
+    return 0.5 * float(placed.weight @ (seen - placed.value) ** 2) + float(method.strength) * penalty
 
 
 @pytest.fixture(scope="module")
 def least(spikes) -> float:
-    long = prepared(spikes, FISTA(iterations=3000, tolerance=1e-6))
+    long = assembled(spikes, FISTA(iterations=3000, tolerance=1e-6))
     found = solve(long)
-    assert found.status is Status.converged and found.diagnostics.positions >= 3
+    assert found.status is Status.converged and (found.diagnostics.positions or 0) >= 3
     # Corrections are what the minimum asks for: without them the picture is another one.
-    plain = accumulate(long.taken.placed)
-    without = run(FISTA(), Problem(plain, long.rounds.prior, long.rounds.strength), long.image).image
+    plain = accumulate(long.measurements.placed)
+    without = run(FISTA(), Problem(plain, long.method.prior, long.method.strength), long.image).image
     assert exact(long, without) > 1.02 * exact(long, found.image)
     return exact(long, found.image)
 
 
 @pytest.mark.parametrize("make", [FISTA, ISTA, ADMM, CondatVu, ChambollePock, JaxoptFISTA, NonlinearCG, LBFGS])
-def test_every_solver_ends_at_the_minimum_of_the_exact_problem(make, spikes, least):
-    problem = prepared(spikes, make())
-    found = solve(problem)
-    above = exact(problem, found.image) / least - 1
+def test_solve_every_solver_ends_at_the_minimum_of_the_exact_problem(make, spikes, least):
+    assembly = assembled(spikes, make())
+    found = solve(assembly)
+    above = exact(assembly, found.image) / least - 1
     print(f"{make.__name__}: {100 * above:.4f} % above, {len(found.stages)} iterations")
     # A thousandth is what skipping work may cost. JaxoptFISTA and NonlinearCG end at three times the tolerance.
     assert found.status is Status.converged and -1e-5 < above < 1e-3
 
 
 @pytest.mark.parametrize("make", [FISTA, ISTA, ADMM, CondatVu, ChambollePock])
-def test_a_state_that_goes_on_has_the_gradients_of_the_new_problem(make, spikes):
-    given = prepared(spikes, make())
-    plain = accumulate(given.taken.placed)
-    before = Problem(plain, given.rounds.prior, given.rounds.strength)
+def test_retargeted_state_has_the_gradients_of_the_new_problem(make, spikes):
+    given = assembled(spikes, make())
+    plain = accumulate(given.measurements.placed)
+    before = Problem(plain, given.method.prior, given.method.strength)
     outcome = run(make(iterations=7, tolerance=0), before, given.image)
-    corrected = with_exposure(plain, given.taken.placed, jnp.asarray(outcome.image))
+    corrected = with_exposure(plain, given.measurements.placed, jnp.asarray(outcome.image))
     after = make().retargeted(Problem(corrected, before.prior, before.strength), before, outcome.state)
     for name, at in (("gradient", "image"), ("ahead_gradient", "ahead")):
         if hasattr(after, name):
@@ -83,20 +85,21 @@ def test_a_state_that_goes_on_has_the_gradients_of_the_new_problem(make, spikes)
             )
 
 
-def test_what_is_far_in_some_tiles_is_corrected_in_these(spikes, monkeypatch):
+def test_exposure_correction_far_in_some_tiles_is_made_in_these(spikes, monkeypatch):
     monkeypatch.setattr(outer_loop, "TILE", 6)  # 4×4 tiles
-    given = prepared(spikes, FISTA())
-    placed, image = given.taken.placed, jnp.asarray(given.image)
-    problem = Problem(accumulate(placed), given.rounds.prior, given.rounds.strength)
+    given = assembled(spikes, FISTA())
+    placed, image = given.measurements.placed, jnp.asarray(given.image)
+    problem = Problem(accumulate(placed), given.method.prior, given.method.strength)
     inside = np.zeros(image.shape, bool)
     inside[24:36, 12:24] = True
     # A fifth of the picture's norm, in a tile: as a whole a quarter of that.
     level = float(jnp.sqrt(jnp.mean(image**2)))
-    tolerance = 0.06 / outer_loop._NEAR
-    assert 0.2 / 4 < outer_loop._NEAR * tolerance and 0.2 > outer_loop._NEAR_IN_TILE * tolerance
+    tolerance = 0.06 / outer_loop.CORRECTION_DISTANCE_TOLERANCES
+    assert 0.2 / 4 < outer_loop.CORRECTION_DISTANCE_TOLERANCES * tolerance
+    assert 0.2 > outer_loop.TILE_CORRECTION_DISTANCE_TOLERANCES * tolerance
     further = image + 1e-3 * level + 0.2 * level * jnp.asarray(inside, jnp.float32)
     for skip in (True, False):
-        exposures = outer_loop._Exposures(problem, placed, None, tiles=True, skip=skip)
+        exposures = outer_loop.ExposureCorrection(problem, placed, None, tiles=True, skip=skip)
         assert exposures(image, tolerance) is not None and exposures(image, tolerance) is None
         found = exposures(further, tolerance)
         assert found is not None and exposures._touched is not None
@@ -107,7 +110,7 @@ def test_what_is_far_in_some_tiles_is_corrected_in_these(spikes, monkeypatch):
         np.testing.assert_allclose(found.data.energy, expected.energy, rtol=1e-5)
 
 
-def test_it_is_one_solve_to_those_who_watch(spikes):
+def test_solve_with_corrections_is_one_solve_to_those_who_watch(spikes):
     class Watched(NoProgress):
         started, done = 0, 0
 
@@ -118,7 +121,7 @@ def test_it_is_one_solve_to_those_who_watch(spikes):
             self.done += done
 
     watched = Watched()
-    found = solve(prepared(spikes, FISTA(), progress=watched))
+    found = solve(assembled(spikes, FISTA()), progress=watched)
     assert watched.started == 1 and watched.done == len(found.stages)
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     seconds = [stage.seconds for stage in found.stages]

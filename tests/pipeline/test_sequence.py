@@ -1,20 +1,22 @@
-"""`sequence`: what the pictures of many moments have in common with those of `reconstruct`, and what is saved."""
+"""`reconstruct_sequence`: pictures of many moments beside those of `reconstruct`, and what is saved."""
 
 import threading
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scsr_opt.pipeline.preparation
-from scsr_opt.pipeline.preparation import prepare
 from skimage import data
 
-from scsr_opt import InputError, Recording, reconstruct, sequence
+from scsr_opt import InputError, Recording, Shortcuts, reconstruct, reconstruct_sequence
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
-from scsr_opt.motion import Global
+from scsr_opt.motion import Global, Motion
+from scsr_opt.pipeline.assembly import assemble_task
+from scsr_opt.pipeline.options import Options
+from scsr_opt.pipeline.reconstruct import task_of
 from scsr_opt.pipeline.sequence import _where_seen
+from scsr_opt.pipeline.strength import StrengthSearch
 
 PICTURE = data.camera()[90:250, 150:310]
 SCALE = 2
@@ -27,18 +29,16 @@ def simulated(scene, frames: int = 121):
     return simulate(scene, scale=SCALE, frames=frames, sensor=Sensor(photons=1000.0), seed=3)
 
 
-def test_a_pan_is_carried_on_and_its_pictures_are_those_of_single_solves(monkeypatch):
+def test_reconstruct_sequence_pan_is_carried_on_to_the_pictures_of_single_solves(monkeypatch):
     """Up to where a solve ends: what exposures blur comes back slowly, from either side (0.1 dB at most was seen)."""
     made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
     keys = (50, 55, 65)
-    validated, validates = [], scsr_opt.pipeline.preparation.validated_strength
+    validated, find = [], StrengthSearch.find
     with monkeypatch.context() as patched:
         patched.setattr(
-            scsr_opt.pipeline.preparation,
-            "validated_strength",
-            lambda *given, **options: validated.append(validates(*given, **options)) or validated[-1],
+            StrengthSearch, "find", lambda *given, **options: validated.append(find(*given, **options)) or validated[-1]
         )
-        solutions = list(sequence(made.spikes, keys, scale=SCALE))
+        solutions = list(reconstruct_sequence(made.spikes, keys, scale=SCALE))
     assert [solution.diagnostics.motion_carried for solution in solutions] == [False, True, True]
     # Found with the motion, and carried on with it.
     assert [found.strength for found in validated] == pytest.approx([solutions[0].diagnostics.strength])
@@ -52,24 +52,25 @@ def test_a_pan_is_carried_on_and_its_pictures_are_those_of_single_solves(monkeyp
 
 
 @pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.22, -0.34)])
-def test_a_solve_goes_on_from_the_one_before(velocity):
+def test_reconstruct_sequence_goes_on_from_the_picture_before(velocity):
     """To the same minimum, in fewer iterations than one from playback with the same motion and strength."""
     made = simulated(Translation(PICTURE, velocity=velocity, key=55))
-    *_, last = sequence(made.spikes, KEYS, scale=SCALE)
+    *_, last = reconstruct_sequence(made.spikes, KEYS, scale=SCALE)
     assert last.diagnostics.motion_carried and last.motion is not None
-    anew = reconstruct(made.spikes, scale=SCALE, key=KEYS[-1], velocity=last.motion, strength=last.diagnostics.strength)
-    print(f"{last.stats['iterations']} iterations instead of {anew.stats['iterations']}")
+    anew = reconstruct(made.spikes, scale=SCALE, key=KEYS[-1], motion=last.motion, strength=last.diagnostics.strength)
+    print(f"{last.diagnostics.iterations} iterations instead of {anew.diagnostics.iterations}")
     assert last.diagnostics.iterations < anew.diagnostics.iterations
     assert last.diagnostics.objective == pytest.approx(anew.diagnostics.objective, rel=1e-3)
 
 
-def test_a_picture_begins_at_playback_where_nothing_was_seen():
+def test_where_seen_bad_pixels_begin_at_playback():
     """Half of the sensor is bad."""
     made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
     bad = np.zeros(made.spikes.shape[1:], bool)
     bad[:, 40:] = True
-    prepared = prepare(made.spikes, scale=SCALE, key=50, velocity=(0.0, 0.0), strength=0.01, bad_pixels=bad, skip=False)
-    begun = _where_seen(prepared.taken.placed, jnp.zeros((160, 160)), jnp.ones((160, 160)))
+    options = Options(motion=Motion.none(80, 80), strength=0.01, bad_pixels=bad, shortcuts=Shortcuts.none())
+    placed = assemble_task(task_of(made.spikes, SCALE, 50, options)).measurements.placed
+    begun = _where_seen(placed, jnp.zeros((160, 160)), jnp.ones((160, 160)))
     np.testing.assert_array_equal(begun[:, :80], 0)
     np.testing.assert_array_equal(begun[:, 80:], 1)
 
@@ -77,7 +78,7 @@ def test_a_picture_begins_at_playback_where_nothing_was_seen():
 def test_an_object_takes_its_layer_along():
     """Where it is seen is found anew; without that, 10 frames cost 0.4 dB."""
     made = simulated(MovingObject(PICTURE, data.brick()[:60, :60], velocity=(0.3, 0.5), key=55))
-    _, solution = sequence(made.spikes, (50, 60), scale=SCALE)
+    _, solution = reconstruct_sequence(made.spikes, (50, 60), scale=SCALE)
     assert solution.diagnostics.motion_carried
     alone = psnr(made.truth(60), reconstruct(made.spikes, scale=SCALE, key=60).image, 8)
     assert psnr(made.truth(60), solution.image, 8) > alone - 0.1
@@ -88,7 +89,7 @@ def test_motion_is_found_anew_where_it_changes():
     before = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=60))
     after = simulated(Static(before.truth(120)), 121)
     both = Recording.from_array(np.concatenate([before.spikes, after.spikes]))
-    solutions = list(sequence(both, (60, 70, 180, 190), scale=SCALE))
+    solutions = list(reconstruct_sequence(both, (60, 70, 180, 190), scale=SCALE))
     assert [solution.diagnostics.motion_carried for solution in solutions] == [False, True, False, True]
     assert solutions[2].velocity is not None and not solutions[2].velocity.any()
 
@@ -98,7 +99,7 @@ def test_motion_is_found_anew_where_something_comes_into_view():
     wall = simulated(Static(PICTURE), 81)
     passing = simulated(MovingObject(PICTURE, data.brick()[:60, :60], velocity=(0.3, 0.5), key=40), 81)
     both = Recording.from_array(np.concatenate([wall.spikes, passing.spikes]))
-    solutions = list(sequence(both, (40, 45, 110, 121), scale=SCALE, frames=61))
+    solutions = list(reconstruct_sequence(both, (40, 45, 110, 121), scale=SCALE, frames=61))
     assert [solution.diagnostics.motion_carried for solution in solutions[:2]] == [False, True]
     assert not solutions[2].diagnostics.motion_carried or not solutions[3].diagnostics.motion_carried
     assert solutions[3].velocity is not None and solutions[3].velocity.any()
@@ -106,14 +107,14 @@ def test_motion_is_found_anew_where_something_comes_into_view():
 
 def test_a_motion_is_not_carried_on_for_ever():
     made = simulated(Static(PICTURE), 221)
-    solutions = sequence(made.spikes, range(50, 171, 20), scale=SCALE)
+    solutions = reconstruct_sequence(made.spikes, range(50, 171, 20), scale=SCALE)
     assert [solution.diagnostics.motion_carried for solution in solutions] == [False, *[True] * 5, False]
 
 
-def test_what_is_wanted_of_all_pictures_is_handed_on():
+def test_reconstruct_sequence_options_hold_for_all_pictures():
     made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
-    options = {"strength": 0.01, "velocity": Global(affine=False), "frames": 61, "gain": np.ones((80, 80))}
-    first, second = sequence(made.spikes, (50, 60), scale=SCALE, **options)
+    options = Options(strength=0.01, motion=Global(affine=False), gain=np.ones((80, 80)))
+    first, second = reconstruct_sequence(made.spikes, (50, 60), scale=SCALE, options=options, frames=61)
     assert first.diagnostics.strength == second.diagnostics.strength == pytest.approx(0.01)
     assert second.velocity is not None and np.ptp(second.velocity, axis=(1, 2)).max() == 0
 
@@ -121,7 +122,7 @@ def test_what_is_wanted_of_all_pictures_is_handed_on():
 def test_what_is_wrong_with_a_key_is_said_in_its_turn():
     """The next picture is prepared while one is solved for; that one is handed out all the same."""
     made = simulated(Static(PICTURE), 61)
-    following = sequence(made.spikes, (30, 61), scale=SCALE, frames=31)
+    following = reconstruct_sequence(made.spikes, (30, 61), scale=SCALE, frames=31)
     assert next(following).status.usable
     with pytest.raises(InputError, match="key is 61"):
         next(following)
@@ -129,21 +130,21 @@ def test_what_is_wrong_with_a_key_is_said_in_its_turn():
 
 def test_a_sequence_that_nobody_wants_any_more_ends():
     made = simulated(Static(PICTURE), 61)
-    following = sequence(made.spikes, range(20, 41), scale=SCALE, frames=31)
+    following = reconstruct_sequence(made.spikes, range(20, 41), scale=SCALE, frames=31)
     assert next(following).status.usable
     before = threading.active_count()
     following.close()
     assert threading.active_count() < before  # nothing is prepared in the background
 
 
-def test_a_prepared_motion_that_a_solve_changes_is_not_followed():
+def test_reconstruct_sequence_motion_that_a_solve_changes_is_followed_anew():
     """A fixed pattern rests while the scene moves, and is told from it only by the first picture."""
     made = simulate(
         Translation(PICTURE, velocity=(0.3, -0.4), key=55), scale=SCALE, frames=121,
         sensor=Sensor(photons=1000.0, fixed_pattern=0.1), seed=3,
     )  # fmt: skip
-    first, second = sequence(made.spikes, (50, 55), scale=SCALE)
-    assert first.diagnostics.gain_spread > 0.05 and second.diagnostics.motion_carried
+    first, second = reconstruct_sequence(made.spikes, (50, 55), scale=SCALE)
+    assert (first.diagnostics.gain_spread or 0) > 0.05 and second.diagnostics.motion_carried
     assert first.motion is not None and second.motion is not None
     assert np.abs(first.motion.velocity - second.motion.velocity).max() < 1e-3
     assert second.diagnostics.strength == first.diagnostics.strength
@@ -154,8 +155,8 @@ def test_a_prepared_motion_that_a_solve_changes_is_not_followed():
 
 def test_nothing_to_see_is_no_reason_to_stop():
     dark = Recording.from_array(np.zeros((40, 8, 8), np.uint8))
-    assert [solution.status.usable for solution in sequence(dark, (10, 20), scale=SCALE)] == [False, False]
-    assert len(list(sequence(np.ones((2, 8, 8), np.uint8), (0, 1), scale=SCALE))) == 2
+    assert [solution.status.usable for solution in reconstruct_sequence(dark, (10, 20), scale=SCALE)] == [False, False]
+    assert len(list(reconstruct_sequence(np.ones((2, 8, 8), np.uint8), (0, 1), scale=SCALE))) == 2
 
 
 @pytest.mark.parametrize(
@@ -163,13 +164,14 @@ def test_nothing_to_see_is_no_reason_to_stop():
     [
         ({"key": 3}, "given key"),
         ({"state": 3}, "given state"),
-        ({"velocity": (0.1, 0.2)}, "holds at one moment"),
+        ({"motion": Motion.constant((0.1, 0.2), (8, 8))}, "which holds at one key frame; give an Estimator"),
         ({"frames": 0}, "frames"),
         ({"scale": 0}, "scale"),
+        ({"strenght": 0.1}, r"no option 'strenght' \(did you mean strength\?\)"),
         ({"gain": np.ones((3, 3))}, "gain is an array of shape"),
         ({"strength": -1.0}, "strength"),
     ],
 )
-def test_refuses(options, message):
+def test_reconstruct_sequence_option_that_cannot_be_used_is_refused(options, message):
     with pytest.raises(InputError, match=message):
-        list(sequence(np.ones((20, 8, 8), np.uint8), (10,), **{"scale": SCALE, **options}))
+        list(reconstruct_sequence(np.ones((20, 8, 8), np.uint8), (10,), **{"scale": SCALE, **options}))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from skimage import data
 
-from scsr_opt import Solution, reconstruct
-from scsr_opt._validation import flag
+from scsr_opt import Shortcuts, Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, Windows, simulate
 from scsr_opt.camera.saturation import SATURATED
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
@@ -18,13 +17,15 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion import Motion, estimate_motion
 from scsr_opt.operators import Huber, Welsch
 from scsr_opt.operators.sampling import accumulate
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.defaults import default_prior
-from scsr_opt.pipeline.measurement import Stream, measured
-from scsr_opt.pipeline.reconstruct import _some
-from scsr_opt.pipeline.scene_summary import DARK, TILE, Kind, summarise_scene
+from scsr_opt.pipeline.measurement import measure
+from scsr_opt.pipeline.scene_summary import DARK, TILE, SceneSummary, TileKind, summarise_scene
+from scsr_opt.pipeline.updates import _some
 from scsr_opt.report import scene_figure
 
 SCALE, FRAMES, KEY = 2, 101, 50
+ALL_WORK = Shortcuts.none()
 WALL = data.gravel()[40:200, 60:220] / 255  # 80×80 sensor pixels
 BRICK = data.brick()[:60, :60] / 255
 
@@ -73,25 +74,35 @@ SCENES = {
 RESTING = "flicker", "lamp at 100 Hz", "hot pixel"
 
 
-def all_of(name: str) -> tuple[Stream, np.ndarray, Solution, list[Solution]]:
+def all_of(name: str) -> tuple[Clip, np.ndarray, Solution, list[Solution]]:
     """The full computation, and two that skip: with a strength that is looked for, for which nothing is merged where
     something moves in so small a picture, and with that of the full one, where what is still is merged."""
     made = simulate(SCENES[name](), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
     spikes = np.array(made.spikes)
     if name == "hot pixel":
         spikes[:, 40, 40] = 1
-    full = reconstruct(spikes, scale=SCALE, key=KEY, skip=False)
+    full = reconstruct(spikes, scale=SCALE, key=KEY, shortcuts=ALL_WORK)
     skipping = [reconstruct(spikes, scale=SCALE, key=KEY, strength=λ) for λ in (None, full.diagnostics.strength)]
-    return Stream(spikes, KEY, 0.6, None), made.truth(KEY), full, skipping
+    return Clip(spikes, KEY, 0.6, None), made.truth(KEY), full, skipping
+
+
+def both(spikes: np.ndarray, scale: int, **options: Any) -> tuple[Solution, Solution]:
+    """The full computation, and the one that leaves out what it may."""
+    full, skipping = (
+        reconstruct(spikes, scale=scale, key=KEY, shortcuts=shortcuts, **options)
+        for shortcuts in (ALL_WORK, Shortcuts())
+    )
+    return full, skipping
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
-    stream, truth, full, skipping = all_of(name)
-    assert full.plan is None and full.status.usable and full.velocity is not None
+def test_shortcuts_scene_that_tries_to_fool_them_loses_nothing(name):
+    clip, truth, full, skipping = all_of(name)
+    assert full.scene is None and full.status.usable and full.velocity is not None
     motion = Motion.of_velocity(np.asarray(full.velocity))
-    every = accumulate(measured(stream, motion, scale=SCALE, measuring=Intervals(), merge=False).placed)
+    every = accumulate(measure(clip, motion, scale=SCALE, sampling=Intervals(), merge=False).placed)
     strength, prior = full.diagnostics.strength, default_prior(SCALE)
+    assert strength is not None
 
     def objective(solution: Solution) -> float:
         image = jnp.asarray(solution.image)
@@ -99,7 +110,7 @@ def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
 
     side = TILE * SCALE
     for solution in skipping:
-        assert solution.plan is not None and solution.status.usable
+        assert solution.scene is not None and solution.status.usable
         # The solve ends at a relative residual of 1e-4, which leaves far less than a tenth of these bounds.
         assert psnr(truth, solution.image, 8) > psnr(truth, full.image, 8) - 0.03
         change = (solution.image - full.image).reshape(160 // side, side, 160 // side, side).mean((1, 3))
@@ -111,77 +122,78 @@ def test_nothing_is_lost_where_a_scene_tries_to_fool_it(name):
 
 
 @pytest.mark.parametrize(("scale", "velocity", "wall"), [(2, (0.4, -0.4), "grass"), (4, (1.05, -0.55), "gravel")])
-def test_a_pan_is_as_sharp_with_few_positions_along_its_exposures(scale, velocity, wall):
+def test_shortcuts_few_positions_along_exposures_leave_a_pan_as_sharp(scale, velocity, wall):
     """Too few of them show in the strength: with two from 0.2 sensor pixels on instead of 0.1, and five from 1.2 on
     instead of 0.7, it was 7 and 3 % lower, and 0.09 and 0.03 dB were lost."""
     picture = getattr(data, wall)()[60:220, 60:220] / 255
     scene = Translation(picture, velocity=velocity)
     made = simulate(scene, scale=scale, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
-    full, skipping = (reconstruct(made.spikes, scale=scale, key=KEY, skip=skip) for skip in (False, True))
+    full, skipping = both(made.spikes, scale)
     assert skipping.diagnostics.samples == pytest.approx(full.diagnostics.samples, rel=0.01)
     assert skipping.diagnostics.strength == pytest.approx(full.diagnostics.strength, rel=0.02)
     truth, border = made.truth(KEY), 8 * scale
     assert psnr(truth, skipping.image, border) == pytest.approx(psnr(truth, full.image, border), abs=0.015)
 
 
-def test_a_pan_towards_the_light_is_no_lamp():
+def test_reconstruct_pan_towards_the_light_is_no_lamp():
     """Of most pixels what they see gets brighter, by 29 % in all."""
     bright = data.gravel()[40:200, :400] / 255 * np.linspace(0.2, 1, 400)
     scene = Changing(lambda t: bright[:, 60 + int(t) : 220 + int(t)])
     made = simulate(scene, scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=6)
     solution = reconstruct(made.spikes, scale=SCALE, key=KEY)
-    assert solution.plan is not None and solution.velocity is not None and solution.plan.scene == "one motion"
+    assert solution.scene is not None and solution.velocity is not None and solution.scene.scene == "one motion"
     # One high-resolution pixel per frame to the left.
     np.testing.assert_allclose(np.median(solution.velocity, axis=(1, 2)), (0, -1 / SCALE), atol=0.01)
 
 
-def test_tiles_are_left_alone_beside_an_object_smaller_than_one():
+def test_shortcuts_finished_tiles_beside_a_small_object_are_left_alone():
     """At ×4, where the default prior couples near pixels only: of 9 tiles 3 are gone on with."""
     wall, brick = data.gravel()[100:484, 60:444] / 255, data.brick()[:120, :120] / 255
     scene = MovingObject(wall, brick, (0.4, 1.0), shape=Box(36.0, 36.0))
     made = simulate(scene, scale=4, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
-    full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
-    assert full.active is not None and skipping.active is not None
-    assert not full.active.alone.any() and 0 < np.count_nonzero(skipping.active.alone) < skipping.active.alone.size
+    full, skipping = both(made.spikes, 4)
+    assert full.tiles is not None and skipping.tiles is not None
+    further = skipping.tiles.tile_iterations
+    assert not full.tiles.tile_iterations.any() and 0 < np.count_nonzero(further) < further.size
     truth, side = made.truth(KEY), TILE * 4
     assert psnr(truth, skipping.image, 16) > psnr(truth, full.image, 16) - 0.03
     change = (skipping.image - full.image).reshape(384 // side, side, 384 // side, side).mean((1, 3))
     assert np.abs(change).max() < 1 / 255
 
 
-def test_a_picture_of_few_tiles_is_iterated_as_a_whole():
+def test_shortcuts_picture_of_few_tiles_is_iterated_as_a_whole():
     """They would all be finished once the whole picture is near its tolerance."""
     made = simulate(Translation(WALL, velocity=(0.5, 0.8)), scale=4, frames=FRAMES, sensor=Sensor(), seed=5)
-    full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
-    assert skipping.active is not None and not skipping.active.alone.any()
+    full, skipping = both(made.spikes, 4)
+    assert skipping.tiles is not None and not skipping.tiles.tile_iterations.any()
     assert skipping.diagnostics.iterations == full.diagnostics.iterations
 
 
-def test_an_object_that_is_mostly_hidden_or_hides_is_no_rest():
+def test_shortcuts_object_that_is_mostly_hidden_or_hides_is_no_rest():
     """Behind it and before it a sixth of the sensor contradicts any motion, nearly as much as contradicts rest."""
     wall, brick = data.gravel()[60:316, 60:316] / 255, data.brick()[:120, :120] / 255
     scene = MovingObject(wall, brick, (0.8, -1.0), shape=Box(80.0, 80.0))
     made = simulate(scene, scale=4, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=11)
-    full, skipping = (reconstruct(made.spikes, scale=4, key=KEY, skip=skip) for skip in (False, True))
-    assert skipping.plan is not None and skipping.plan.scene == "2 layers"
+    full, skipping = both(made.spikes, 4)
+    assert skipping.scene is not None and skipping.scene.scene == "2 layers"
     truth = made.truth(KEY)
     assert psnr(truth, skipping.image, 32) > psnr(truth, full.image, 32) - 0.03
 
 
-def test_what_is_still_is_told_and_merged_beside_what_moves():
+def test_shortcuts_still_parts_are_merged_beside_what_moves():
     """Unless the strength is tried on the whole of so small a picture, for which intervals have to stay apart."""
     scene = MovingObject(WALL, BRICK, (0.4, 0.6), shape=Box(30.0, 30.0))
     spikes = simulate(scene, scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=1).spikes
     looked_for = reconstruct(spikes, scale=SCALE)
     λ = looked_for.diagnostics.strength
-    given, full = (reconstruct(spikes, scale=SCALE, strength=λ, skip=skip) for skip in (True, False))
-    assert looked_for.plan is not None and given.plan is not None
-    for plan, words in ((looked_for.plan, "nothing is merged"), (given.plan, "merged into one")):
-        assert 0.3 < plan.share(Kind.STATIC) + plan.share(Kind.UNIFORM) < 1
-        assert any("nothing moves" in line and words in line for line in plan.lines())
+    full, given = both(spikes, SCALE, strength=λ)
+    assert looked_for.scene is not None and given.scene is not None
+    for summary, words in ((looked_for.scene, "nothing is merged"), (given.scene, "merged into one")):
+        assert 0.3 < summary.share(TileKind.STATIC) + summary.share(TileKind.UNIFORM) < 1
+        assert any("nothing moves" in line and words in line for line in summary.lines())
     # About half of the sensor rests, and an interval there lasts three frames.
     assert given.diagnostics.samples < 0.7 * looked_for.diagnostics.samples
-    assert given.plan.samples == given.diagnostics.samples
+    assert given.scene.samples == given.diagnostics.samples
     truth = scene.frame(KEY)
     assert psnr(truth, given.image, 8) > psnr(truth, full.image, 8) - 0.03
 
@@ -194,15 +206,15 @@ def test_the_pixels_that_tell_of_a_fixed_pattern_are_no_pattern():
         assert abs(int(some[:, ::2].sum()) - 200) < 60 and abs(int(some[::2].sum()) - 200) < 60
 
 
-def test_windows_of_what_rests_are_told_to_rest():
+def test_scene_summary_windows_of_what_rests_are_at_rest():
     spikes = simulate(Static(WALL), scale=SCALE, frames=FRAMES, seed=3).spikes
-    plan = reconstruct(spikes, scale=SCALE, samples=Windows(7), strength=0.01).plan
-    assert plan is not None and plan.share(Kind.STATIC) + plan.share(Kind.UNIFORM) == 1
-    assert any("nothing is merged" in line for line in plan.lines())
+    scene = reconstruct(spikes, scale=SCALE, samples=Windows(7), strength=0.01).scene
+    assert scene is not None and scene.share(TileKind.STATIC) + scene.share(TileKind.UNIFORM) == 1
+    assert any("nothing is merged" in line for line in scene.lines())
 
 
 @pytest.mark.parametrize("loss", [Huber(), Welsch()])
-def test_a_robust_loss_judges_the_same_intervals(loss):
+def test_shortcuts_robust_loss_judges_the_same_intervals(loss):
     """Of a scene at rest whose light drops for 15 frames in a part of it: merged, they would be one mean."""
 
     def dimmed(t: float) -> np.ndarray:
@@ -212,23 +224,15 @@ def test_a_robust_loss_judges_the_same_intervals(loss):
         return picture
 
     spikes = simulate(Changing(dimmed), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=2).spikes
-    given: dict[str, Any] = {"scale": SCALE, "velocity": (0.0, 0.0), "strength": 0.002, "robust": loss}
-    full, skipping = (reconstruct(spikes, **given, skip=skip).image for skip in (False, True))
+    full, skipping = both(spikes, SCALE, motion=Motion.none(80, 80), strength=0.002, robust=loss)
     side = TILE * SCALE
-    change = (skipping - full).reshape(160 // side, side, 160 // side, side).mean((1, 3))
+    change = (skipping.image - full.image).reshape(160 // side, side, 160 // side, side).mean((1, 3))
     assert np.abs(change).max() < 1 / 255
 
 
-def test_skip_is_yes_or_no():
-    assert flag(np.True_, "skip") is True and flag(False, "skip") is False
-    for value in ("no", 1, None, np.array([True, False])):
-        with pytest.raises(InputError, match="skip is .* True or False"):
-            flag(value, "skip")
-
-
-def test_a_recording_that_shows_nothing_has_a_plan_too():
+def test_scene_summary_recording_that_shows_nothing_is_dark():
     solution = reconstruct(np.zeros((20, 20, 30), np.uint8), scale=SCALE)
-    assert not solution.status.usable and solution.plan is not None
+    assert not solution.status.usable and solution.scene is not None
     assert solution.scene.numbers["samples"] == 600 and solution.scene.numbers["tiles"]["dark"] == 1
 
 
@@ -245,14 +249,14 @@ def test_what_is_in_no_layer_is_not_taken_for_still():
     assert share[:, moved].mean() < 0.7 and np.median(share) > 0.95
 
 
-def test_merging_leaves_the_problem_as_it_is():
+def test_measure_merged_at_rest_leaves_the_problem_as_it_is():
     """Of a scene at rest the merged samples have the M and c of all intervals, but for what is put in at rounding: the
     weighted mean of intervals that follow one another is the interval from the first to the last spike."""
     made = simulate(Static(WALL), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
-    stream = Stream(np.asarray(made.spikes), KEY, 0.6, None)
+    clip = Clip(np.asarray(made.spikes), KEY, 0.6, None)
     rest = Motion.none(80, 80)
     one, every = (
-        accumulate(measured(stream, rest, scale=SCALE, measuring=Intervals(), merge=merge).placed)
+        accumulate(measure(clip, rest, scale=SCALE, sampling=Intervals(), merge=merge).placed)
         for merge in (True, False)
     )
     # Sums of up to 60 terms of 1e-2 in float32.
@@ -260,7 +264,9 @@ def test_merging_leaves_the_problem_as_it_is():
     np.testing.assert_allclose(one.target, every.target, atol=1e-6)
 
 
-def plan(spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 0.003, bad_pixels=None):
+def summary(
+    spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 0.003, bad_pixels=None
+) -> SceneSummary:
     height, width = spikes.shape[1:]
     each = np.arange(height * width)
     light = np.ones(each.size, np.float32)
@@ -270,91 +276,91 @@ def plan(spikes: np.ndarray, merged_for: int, used: float = 1.0, noise: float = 
     return summarise_scene(spikes, motion, merged, merged, **given, noise=noise, bad_pixels=bad_pixels)
 
 
-def test_each_kind_of_tile_is_told():
+def test_summarise_scene_each_kind_of_tile_is_told():
     rng = np.random.default_rng(0)
     texture = (rng.random((40, 1, 1)) + np.linspace(0, 1, 40 * 24).reshape(1, 40, 24) > 1).astype(np.uint8)
-    assert (plan(texture, 100).kind == Kind.STATIC).all()
-    assert (plan(texture, 3).kind == Kind.MOVING).all()
-    assert (plan(texture, 3, used=0.2).kind == Kind.FAST).all()
-    assert (plan(np.ones((40, 40, 24), np.uint8), 3).kind == Kind.SATURATED).all()
+    assert (summary(texture, 100).kind == TileKind.STATIC).all()
+    assert (summary(texture, 3).kind == TileKind.MOVING).all()
+    assert (summary(texture, 3, used=0.2).kind == TileKind.FAST).all()
+    assert (summary(np.ones((40, 40, 24), np.uint8), 3).kind == TileKind.SATURATED).all()
     dark = np.zeros((40, 40, 24), np.uint8)
     dark[[3, 20]] = 1
-    assert (plan(dark, 100).kind == Kind.DARK).all()
-    assert plan(dark, 100).kind.shape == (3, 2)
+    assert (summary(dark, 100).kind == TileKind.DARK).all()
+    assert summary(dark, 100).kind.shape == (3, 2)
 
 
-def test_few_tiles_without_texture_are_taken_for_textured_ones():
+def test_summarise_scene_false_alarms_of_texture_are_as_rare_as_said():
     """The false-alarm rate is what it says, within what 2,000 tiles can tell; and the faintest texture is seen."""
     rng = np.random.default_rng(1)
     height, width, frames = 16 * 40, 16 * 50, 64
     counts = rng.binomial(frames, 0.5, (height, width))
     spikes = (np.arange(frames)[:, None, None] < counts).astype(np.uint8)
     noise = float(np.sqrt(0.25 / frames))
-    found = plan(spikes, frames, noise=noise)
-    textured = found.share(Kind.STATIC)
-    assert found.share(Kind.UNIFORM) + textured == 1
+    found = summary(spikes, frames, noise=noise)
+    textured = found.share(TileKind.STATIC)
+    assert found.share(TileKind.UNIFORM) + textured == 1
     # A binomial's fourth moment is near a normal's. 2000 tiles at 0.1 %: 2 expected, 10 or more in 5 of 100,000 runs.
     assert textured * 2000 < 10
     stripes = np.where(np.arange(width) % 2, 0.1, -0.1)[None]
     counts = np.clip(np.round(rng.binomial(frames, 0.5, (height, width)) + frames * stripes), 0, frames)
     spikes = (np.arange(frames)[:, None, None] < counts).astype(np.uint8)
-    assert plan(spikes, frames, noise=noise).share(Kind.STATIC) == 1
+    assert summary(spikes, frames, noise=noise).share(TileKind.STATIC) == 1
 
 
 @pytest.mark.parametrize("rate", [0.25, 0.3, 0.5])
-def test_a_plain_scene_is_told_however_regular_its_spikes_are(rate):
+def test_scene_summary_plain_scene_is_uniform_however_regular_its_spikes(rate):
     """Of a pixel that fires in every second frame the number of spikes is known to half of one, not to its noise."""
     sensor = Sensor(photons=1000.0)
     scene = Static(np.full((128, 128), rate / sensor.white_rate))
     spikes = simulate(scene, scale=SCALE, frames=FRAMES, sensor=sensor, seed=3).spikes
-    found = reconstruct(spikes, scale=SCALE, strength=1e-3, gain=None).plan
-    assert found is not None and found.share(Kind.UNIFORM) == 1
+    found = reconstruct(spikes, scale=SCALE, strength=1e-3, gain=None).scene
+    assert found is not None and found.share(TileKind.UNIFORM) == 1
 
 
-def test_bad_pixels_have_no_say_in_the_plan():
+def test_summarise_scene_bad_pixels_have_no_say():
     rng = np.random.default_rng(0)
     plain = (np.arange(64)[:, None, None] < rng.binomial(64, 0.5, (48, 48))).astype(np.uint8)
     bad = np.zeros((48, 48), bool)
     bad[3::8, 5::8] = True
-    for spikes, kind in ((plain, Kind.UNIFORM), (np.ones_like(plain), Kind.SATURATED)):
+    for spikes, kind in ((plain, TileKind.UNIFORM), (np.ones_like(plain), TileKind.SATURATED)):
         marked = np.where(bad, 0, spikes).astype(np.uint8)
-        found = plan(marked, 64, noise=1 / 16, bad_pixels=bad)
+        found = summary(marked, 64, noise=1 / 16, bad_pixels=bad)
         assert (found.kind == kind).all()
-        assert found.intervals == plan(spikes, 64, noise=1 / 16).intervals - int(spikes[:, bad].sum()) - bad.sum()
-    assert (plan(0 * plain, 64, bad_pixels=np.ones_like(bad)).kind == Kind.DARK).all()
+        assert found.intervals == summary(spikes, 64, noise=1 / 16).intervals - int(spikes[:, bad].sum()) - bad.sum()
+    assert (summary(0 * plain, 64, bad_pixels=np.ones_like(bad)).kind == TileKind.DARK).all()
 
 
-def test_a_few_frames_do_not_tell_saturation():
+def test_summarise_scene_few_frames_do_not_tell_saturation():
     """A pixel of intensity 1 may fire in all of them."""
-    assert (plan(np.ones((3, 40, 40), np.uint8), 3).kind != Kind.SATURATED).all()
+    assert (summary(np.ones((3, 40, 40), np.uint8), 3).kind != TileKind.SATURATED).all()
 
 
 @pytest.mark.parametrize(
-    ("kind", "limit", "beyond"), [(Kind.DARK, DARK / 64, 3 / 64), (Kind.SATURATED, SATURATED, 0.95)]
+    ("kind", "limit", "beyond"), [(TileKind.DARK, DARK / 64, 3 / 64), (TileKind.SATURATED, SATURATED, 0.95)]
 )
-def test_few_tiles_at_the_limit_are_taken_for_dark_or_saturated(kind, limit, beyond):
+def test_summarise_scene_false_alarms_at_the_limits_are_as_rare_as_said(kind, limit, beyond):
     """The false-alarm rate of 0.1 % holds at the limit itself; what is well beyond it is told."""
     rng, frames = np.random.default_rng(2), 64
 
     def share(rate: float) -> float:
         spikes = (rng.random((frames, 16 * 40, 16 * 50), dtype=np.float32) < rate).astype(np.uint8)
-        return plan(spikes, frames, noise=float(np.sqrt(rate * (1 - rate) / frames))).share(kind)
+        return summary(spikes, frames, noise=float(np.sqrt(rate * (1 - rate) / frames))).share(kind)
 
     # 2000 tiles at 0.1 %: 2 expected, 10 or more in 5 of 100,000 runs. A mean alone would call half of them that.
     assert share(limit) * 2000 < 10
     assert share(beyond) == 1
 
 
-def test_a_plan_is_told_in_words_numbers_and_a_picture(tmp_path):
+def test_scene_summary_is_told_in_words_numbers_and_a_picture(tmp_path):
     made = simulate(Static(WALL), scale=SCALE, frames=41, sensor=Sensor(photons=1000.0), seed=5)
     solution = reconstruct(made.spikes, scale=SCALE)
-    assert solution.plan is not None
-    lines = solution.plan.lines()
+    assert solution.scene is not None
+    lines = solution.scene.lines()
     assert lines[0] == "Scene: at rest." and any("merged into one" in line for line in lines)
     numbers = solution.scene.numbers
     assert numbers["samples"] < numbers["intervals"] and sum(numbers["tiles"].values()) == pytest.approx(1, abs=1e-3)
-    scene_figure(solution, scale=SCALE, title="wall").savefig(tmp_path / "plan.png")
-    full = reconstruct(made.spikes, scale=SCALE, skip=False)
-    assert "plan" not in full.stats
-    with pytest.raises(InputError, match="skip=True"):
-        scene_figure(full, scale=SCALE)
+    scene_figure(solution, title="wall").savefig(tmp_path / "scene.png")
+    full = reconstruct(made.spikes, scale=SCALE, shortcuts=ALL_WORK)
+    assert full.scene is None and full.report().scene is None
+    with pytest.raises(InputError, match=r"no summary of its scene, as no work was left out: solve with Shortcuts\(\)"):
+        scene_figure(full)

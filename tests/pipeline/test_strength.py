@@ -1,5 +1,6 @@
 """The strength from the recording: by its noise, and by intervals that are held out."""
 
+import dataclasses
 from typing import Any, ClassVar
 
 import jax
@@ -15,19 +16,20 @@ from scsr_opt.camera.samples import spike_intervals
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Motion
-from scsr_opt.motion.validation import given
 from scsr_opt.operators.sampling import accumulate
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.folds import held_out, light_at_rest
-from scsr_opt.pipeline.measurement import Stream, first_picture, measured
+from scsr_opt.pipeline.initial_image import initial_image
+from scsr_opt.pipeline.measurement import measure
 from scsr_opt.pipeline.strength import (
     _BEYOND,
     _STAND_IN,
-    Validated,
+    StrengthSearch,
+    ValidatedStrength,
     _chosen,
     _vertex,
     noise_of_mean,
     strength_of_noise,
-    validated_strength,
 )
 from scsr_opt.priors import (
     BilateralTotalVariation,
@@ -44,48 +46,49 @@ from scsr_opt.solvers.loop import run
 SCALE = 2
 
 
-def still(picture, **sensor) -> Stream:
+def still(picture, **sensor) -> Clip:
     made = simulate(Static(picture), scale=SCALE, frames=101, sensor=Sensor(**sensor), seed=0)
-    return Stream(made.spikes, 50, made.sensor.white_rate, None)
+    return Clip(made.spikes, 50, made.sensor.white_rate, None)
 
 
-def first_of(stream: Stream) -> jax.Array:
-    height, width = stream.spikes.shape[1:]
-    return first_picture(stream, (SCALE * height, SCALE * width))
+def initial_of(clip: Clip) -> jax.Array:
+    height, width = clip.shape
+    return initial_image(clip, (SCALE * height, SCALE * width))
 
 
 def at_rest(
-    stream: Stream,
-    measuring: SamplingRule = Intervals(),  # noqa: B008
+    clip: Clip,
+    sampling: SamplingRule = Intervals(),  # noqa: B008
     prior: Prior = TotalVariation(),  # noqa: B008
     solver: Solver = FISTA(),  # noqa: B008
     *,
     skip: bool = True,
-) -> Validated:
-    motion = Motion.none(*stream.spikes.shape[1:])
-    taken = measured(stream, motion, scale=SCALE, measuring=measuring, merge=skip)
-    given = {"scale": SCALE, "prior": prior, "solver": solver, "measuring": measuring, "skip": skip}
-    return validated_strength(stream, motion, taken, first_of(stream), **given)
+) -> ValidatedStrength:
+    """What is found where nothing moves; with `skip` intervals are merged, and sums used again."""
+    motion = Motion.none(*clip.shape)
+    measurements = measure(clip, motion, scale=SCALE, sampling=sampling, merge=skip)
+    search = StrengthSearch(scale=SCALE, prior=prior, solver=solver, sampling=sampling, merge=skip, reuse_sums=skip)
+    return search.find(clip, motion, measurements, initial_of(clip))
 
 
-def validated(stream: Stream, *arguments: Any, **options: Any) -> float:
-    return at_rest(stream, *arguments, **options).strength
+def validated(clip: Clip, *arguments: Any, **options: Any) -> float:
+    return at_rest(clip, *arguments, **options).strength
 
 
-def test_the_noise_of_photons_asks_for_more_on_a_smooth_picture():
+def test_find_smooth_and_dim_asks_for_more_than_noise():
     """Smooth and dim: the best strength is several times that of the noise between neighbours (measured: 4)."""
     rows, columns = np.mgrid[0:96, 0:96] / 95.0
-    stream = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
-    assert validated(stream) > 2 * strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
+    clip = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
+    assert validated(clip) > 2 * strength_of_noise(noise_of_mean(clip), SCALE, TotalVariation())
 
 
-def test_huber_total_variation_stands_in_for_a_ridge_regulariser():
+def test_find_ridge_regulariser_follows_huber_total_variation():
     """On the smooth and dim picture above, where the floor does not decide."""
     rows, columns = np.mgrid[0:96, 0:96] / 95.0
-    stream = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
-    learned, noise = RidgeRegulariser.load(), noise_of_mean(stream)
+    clip = still(0.3 + 0.4 * rows * columns, white_rate=0.1, photons=25.0)
+    learned, noise = RidgeRegulariser.load(), noise_of_mean(clip)
     of_learned, of_huber = (
-        validated(stream, prior=prior) / strength_of_noise(noise, SCALE, prior)
+        validated(clip, prior=prior) / strength_of_noise(noise, SCALE, prior)
         for prior in (learned, HuberTotalVariation())
     )
     assert of_learned > 1
@@ -94,20 +97,20 @@ def test_huber_total_variation_stands_in_for_a_ridge_regulariser():
     np.testing.assert_allclose(of_learned, beyond * factor * (of_huber / beyond) ** exponent, rtol=1e-5)
 
 
-def test_a_textured_picture_by_day_is_left_near_the_strength_of_its_noise():
-    stream = still(data.gravel()[:96, :96], photons=1000.0)
-    least = strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
-    assert 0.69 * least <= validated(stream) < 1.5 * least
+def test_find_texture_by_day_stays_near_the_strength_of_noise():
+    clip = still(data.gravel()[:96, :96], photons=1000.0)
+    least = strength_of_noise(noise_of_mean(clip), SCALE, TotalVariation())
+    assert 0.69 * least <= validated(clip) < 1.5 * least
 
 
-def test_windows_ask_for_more():
+def test_find_windows_ask_for_more_than_intervals():
     """A count is wrong by up to a spike, an interval by a frame's light."""
-    stream = still(data.camera()[100:292:2, 100:292:2] / 255)
-    assert validated(stream, Windows(4)) > 2 * validated(stream)
+    clip = still(data.camera()[100:292:2, 100:292:2] / 255)
+    assert validated(clip, Windows(4)) > 2 * validated(clip)
 
 
 @pytest.fixture(scope="module")
-def bricks() -> Stream:
+def bricks() -> Clip:
     return still(data.brick()[:32, :32], photons=1000.0)
 
 
@@ -117,7 +120,7 @@ def usual(bricks) -> float:
 
 
 @pytest.mark.parametrize("prior", [BilateralTotalVariation(), Bounded(WaveletL1(1))])
-def test_other_priors_get_a_strength_of_their_own(prior, bricks, usual):
+def test_find_other_prior_has_a_strength_of_its_own(prior, bricks, usual):
     """As many times that of total variation as an edge costs less, to an octave: 0.25 and 6.3 times."""
     assert abs(np.log2(validated(bricks, prior=prior) / usual / prior.relative_strength)) < 1
 
@@ -137,11 +140,11 @@ class Smoothness(Prior[None]):
         raise NotImplementedError
 
 
-def test_a_smooth_prior_needs_no_proximal_step(bricks):
+def test_find_smooth_prior_needs_no_proximal_step(bricks):
     assert validated(bricks, prior=Smoothness(), solver=LBFGS()) > 0
 
 
-def test_a_picture_comes_with_it_where_all_of_the_sensor_was_looked_at():
+def test_find_whole_sensor_looked_at_comes_with_a_picture():
     for height, whole in ((40, True), (130, False)):
         picture = data.brick()[: 2 * height, :48] / 255
         image = at_rest(still(picture)).image
@@ -150,7 +153,7 @@ def test_a_picture_comes_with_it_where_all_of_the_sensor_was_looked_at():
             assert np.abs(np.asarray(image) - picture)[8:-8, 8:-8].mean() < 0.03
 
 
-def test_the_picture_that_comes_with_it_is_that_of_the_nearest_strength(monkeypatch):
+def test_find_picture_is_that_of_the_nearest_strength(monkeypatch):
     """A solve that began elsewhere ended elsewhere: by up to 0.09 dB."""
     tried: list[tuple[float, np.ndarray]] = []
 
@@ -159,41 +162,42 @@ def test_the_picture_that_comes_with_it_is_that_of_the_nearest_strength(monkeypa
         tried.append((float(problem.strength), np.asarray(outcome.image)))
         return outcome
 
-    stream = still(data.brick()[:80, :80] / 255)
+    clip = still(data.brick()[:80, :80] / 255)
     monkeypatch.setattr("scsr_opt.pipeline.strength.run", watched)
-    found = at_rest(stream)
+    found = at_rest(clip)
     assert len(tried) > 2 and found.image is not None
     nearest = min(tried, key=lambda one: abs(np.log(one[0] / found.strength)))[1]
     np.testing.assert_array_equal(found.image, nearest)
     assert not np.array_equal(nearest, tried[-1][1])  # or the last one would do
 
 
-def test_what_was_measured_serves_again_where_nothing_is_merged():
+def test_find_nothing_merged_uses_the_measurements_again():
     """A scene that moves everywhere: the same strength as from samples that are made anew."""
     made = simulate(
         Translation(data.camera()[100:228, 100:228] / 255, (0.2, -0.3), key=20), scale=SCALE, frames=41, seed=0
     )
-    stream = Stream(made.spikes, 20, made.sensor.white_rate, None)
-    motion = given((0.1, -0.15), *made.spikes.shape[1:])
-    taken = measured(stream, motion, scale=SCALE, measuring=Intervals())
-    assert (taken.merged_for == 1).all()
-    asked = {"scale": SCALE, "prior": TotalVariation(), "solver": FISTA(), "measuring": Intervals()}
-    first, apart = first_of(stream), taken._replace(merged_for=2 * taken.merged_for)
-    again = validated_strength(stream, motion, taken, first, **asked)
-    anew = validated_strength(stream, motion, apart, first, **asked)
+    clip = Clip(made.spikes, 20, made.sensor.white_rate, None)
+    motion = Motion.constant((0.1, -0.15), clip.shape)
+    measurements = measure(clip, motion, scale=SCALE, sampling=Intervals())
+    assert (measurements.merged_for == 1).all()
+    search = StrengthSearch(scale=SCALE, prior=TotalVariation(), solver=FISTA(), sampling=Intervals())
+    first, apart = initial_of(clip), measurements._replace(merged_for=2 * measurements.merged_for)
+    again = search.find(clip, motion, measurements, first)
+    anew = search.find(clip, motion, apart, first)
     assert again.strength == anew.strength
     # And what was summed for it is the picture's data term, but for the order of sums.
-    whole = accumulate(taken.placed)
+    whole = accumulate(measurements.placed)
     assert again.term is not None and anew.term is None
     for found, wanted in zip(jax.tree.leaves(again.term), jax.tree.leaves(whole), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
-    assert validated_strength(stream, motion, taken, first, **asked, skip=False).term is None
+    without = dataclasses.replace(search, merge=False, reuse_sums=False).find(clip, motion, measurements, first)
+    assert without.term is None and without.strength == again.strength
 
 
-def test_at_rest_a_few_pixels_are_validated_by_their_intervals():
+def test_find_few_pixels_at_rest_are_validated_by_intervals():
     """One sum for each would be too few to tell."""
-    stream = still(data.brick()[:16, :16] / 255)
-    found = [at_rest(stream, skip=skip) for skip in (True, False)]
+    clip = still(data.brick()[:16, :16] / 255)
+    found = [at_rest(clip, skip=skip) for skip in (True, False)]
     assert found[0].image is not None
     assert found[0].strength == pytest.approx(found[1].strength, rel=0.1)
 
@@ -211,25 +215,26 @@ def test_pixels_that_hardly_fire_ask_for_a_strong_prior(frames):
     assert psnr(truth, image, 8) > psnr(truth, tfp_sr(made.spikes, **options), 8) + 2
 
 
-def test_too_few_samples_leave_the_strength_of_the_noise():
-    stream = Stream(np.ones((9, 3, 3), np.uint8), 4, 0.6, None)
-    assert validated(stream) == strength_of_noise(noise_of_mean(stream), SCALE, TotalVariation())
+def test_find_too_few_samples_gives_the_strength_of_noise():
+    clip = Clip(np.ones((9, 3, 3), np.uint8), 4, 0.6, None)
+    assert validated(clip) == strength_of_noise(noise_of_mean(clip), SCALE, TotalVariation())
 
 
 @pytest.mark.parametrize("light", [{"photons": 1000.0}, {"photons": 50.0, "white_rate": 0.1}])
-def test_at_rest_the_strength_is_that_of_all_intervals(light):
+def test_find_at_rest_sums_give_the_strength_of_all_intervals(light):
     """Sums over the intervals of each pixel serve as well as these, up to rounding, which may end a solve earlier."""
     sensor = Sensor(**light)
     made = simulate(Static(data.brick()[:192, :192] / 255), scale=SCALE, frames=101, sensor=sensor, seed=0)
-    stream, motion = Stream(made.spikes, 50, sensor.white_rate, None), Motion.none(96, 96)
-    taken = measured(stream, motion, scale=SCALE, measuring=Intervals(), on_sensor=True)
+    clip, motion = Clip(made.spikes, 50, sensor.white_rate, None), Motion.none(96, 96)
+    measurements = measure(clip, motion, scale=SCALE, sampling=Intervals(), on_sensor=True)
     of_sums, of_intervals = (
-        validated_strength(
-            stream, motion, taken, first_of(stream), scale=SCALE, prior=HuberTotalVariation(), solver=FISTA(),
-            measuring=Intervals(), skip=skip,
-        ).strength
+        StrengthSearch(
+            scale=SCALE, prior=HuberTotalVariation(), solver=FISTA(), sampling=Intervals(), merge=skip, reuse_sums=skip
+        )
+        .find(clip, motion, measurements, initial_of(clip))
+        .strength
         for skip in (True, False)
-    )  # fmt: skip
+    )
     assert of_sums == pytest.approx(of_intervals, rel=0.01)
 
 
@@ -299,16 +304,16 @@ def test_bad_pixels_are_not_looked_at():
     assert len(_chosen(image[:65, :65], 1, 64, corners)) == 1
 
 
-def test_all_chosen_parts_have_a_say(monkeypatch):
+def test_find_all_chosen_parts_have_a_say(monkeypatch):
     """A textured part and a plain one: what both ask for is neither what the one does nor what the other does."""
     picture = np.full((240, 480), 0.5)
     picture[:, :240] = data.gravel()[:240, :240] / 255
-    stream, textured, plain = still(picture, photons=1000.0), slice(0, 120), slice(120, 240)
+    clip, textured, plain = still(picture, photons=1000.0), slice(0, 120), slice(120, 240)
     found = []
     for chosen in ([textured], [textured, plain], [plain]):
         parts = [(slice(0, 120), columns) for columns in chosen]
         monkeypatch.setattr("scsr_opt.pipeline.strength._chosen", lambda *_, parts=parts: parts)
-        found.append(validated(stream))
+        found.append(validated(clip))
     assert 1.2 * found[0] < found[1] < found[2] / 1.2
 
 

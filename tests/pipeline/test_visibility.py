@@ -13,8 +13,9 @@ from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
-from scsr_opt.pipeline.measurement import clip_around, measured
-from scsr_opt.pipeline.scene_summary import Kind
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.measurement import measure
+from scsr_opt.pipeline.scene_summary import TileKind
 from scsr_opt.pipeline.visibility import cut_to_seen
 
 FRAMES = 65
@@ -141,19 +142,20 @@ def passing(white_rate: float) -> tuple[np.ndarray, np.ndarray]:
     return made.spikes[:, :, 60:84], velocity
 
 
-def test_a_dim_scene_that_passes_through_a_small_picture_keeps_its_light():
+def test_measure_dim_scene_passing_through_a_small_picture_keeps_its_light():
     """An interval lasts 40 frames: not one lies within the picture from end to end."""
     spikes, velocity = passing(0.1)
-    _, stream = clip_around(Recording.from_array(spikes), key=32, frames=FRAMES, white_rate=0.1)
-    placed = measured(stream, Motion.of_velocity(velocity), scale=2, measuring=Intervals()).placed
+    clip = Clip.around(Recording.from_array(spikes), 32, frames=FRAMES, white_rate=0.1)
+    placed = measure(clip, Motion.of_velocity(velocity), scale=2, sampling=Intervals()).placed
     light = float(placed.weight @ placed.value / placed.weight.sum())
     # Short stretches are left out, in which the ½θ of an end is brightest (0.245 measured).
     assert 0.9 * 0.25 < light < 1.1 * 0.25
 
 
-def test_the_plan_knows_what_was_cut():
+def test_scene_summary_counts_what_was_cut_as_out_of_view():
     """Most of what each pixel sees is out of view at the key frame, as it was before anything was cut."""
     spikes, velocity = passing(0.1)
-    solution = reconstruct(spikes, scale=2, key=32, frames=FRAMES, white_rate=0.1, velocity=velocity)
-    assert solution.plan is not None
-    assert (solution.plan.used < 0.1).all() and solution.plan.share(Kind.FAST) + solution.plan.share(Kind.DARK) == 1
+    solution = reconstruct(spikes, scale=2, key=32, frames=FRAMES, white_rate=0.1, motion=Motion.of_velocity(velocity))
+    scene = solution.scene
+    assert scene is not None and (scene.used < 0.1).all()
+    assert scene.share(TileKind.FAST) + scene.share(TileKind.DARK) == 1

@@ -10,7 +10,9 @@ import skimage.data
 
 import scsr_opt
 from scsr_opt.errors import InputError
-from scsr_opt.priors import Bounded, HuberTotalVariation, RidgeRegulariser, default_prior, ridge_regulariser
+from scsr_opt.motion import Motion
+from scsr_opt.pipeline.defaults import default_prior
+from scsr_opt.priors import Bounded, HuberTotalVariation, RidgeRegulariser, ridge_regulariser
 from scsr_opt.priors.patience import patient
 from scsr_opt.priors.ridge_regulariser import (
     WEIGHTS,
@@ -221,7 +223,7 @@ def recording(side: int = 16, frames: int = 61) -> np.ndarray:
 
 def test_ista_falls_in_every_iteration_and_fista_and_cg_agree_with_it():
     prior = RidgeRegulariser.load("convex")
-    given = {"scale": 2, "prior": prior, "strength": 0.004, "velocity": (0.0, 0.0)}
+    given = {"scale": 2, "prior": prior, "strength": 0.004, "motion": Motion.none(16, 16)}
     slow = scsr_opt.reconstruct(recording(), solver=ISTA(60, tolerance=0), **given)
     objectives = np.array([stage.objective for stage in slow.stages])
     # A sum of 45,000 terms in float32, one for each pixel and filter: 24 units of its last place were measured.
@@ -239,7 +241,7 @@ def test_weakly_convex_falls_in_every_iteration_of_ista():
         scale=2,
         prior=RidgeRegulariser.load("weakly_convex"),
         strength=0.004,
-        velocity=(0, 0),
+        motion=Motion.none(16, 16),
         solver=ISTA(40, 0),
     )
     objectives = np.array([stage.objective for stage in solution.stages])

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from scsr_opt.camera import Recording
 from scsr_opt.motion import Motion
-from scsr_opt.pipeline.solution import Solution
+from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.solvers.record import Stage, Status
 
 SCALE = 4
@@ -22,9 +23,21 @@ def spikes() -> np.ndarray:
 
 
 @pytest.fixture
-def solution(scene) -> Solution:
+def solution(scene, spikes) -> Solution:
+    """A made-up one of a recording with three bad pixels."""
+    bad = np.zeros((24, 40), bool)
+    bad[0, :3] = True
     stages = tuple(Stage(t, 10.0 / t, 8.0 / t, 2.0 / t, 0.5**t, 0.1, 0.01 * t) for t in range(1, 13))
     velocity = np.zeros((2, 24, 40), np.float32)
     velocity[1, :, 20:] = 0.2
-    stats = {"iterations": np.int64(12), "strength": np.float32(0.25), "odd": np.nan, "list": [np.bool_(True), None]}
-    return Solution(scene, stages, Status.converged, stats, Motion.of_velocity(velocity))
+    return Solution(
+        image=scene,
+        recording=Recording.from_array(spikes, white_rate=0.5, bad_pixels=bad, name="street"),
+        scale=SCALE,
+        key=15,
+        white_rate=0.5,
+        status=Status.converged,
+        stages=stages,
+        diagnostics=Diagnostics(iterations=12, strength=0.25, objective=np.nan, motion_carried=True),
+        motion=Motion.of_velocity(velocity),
+    )

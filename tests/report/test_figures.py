@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from scsr_opt.camera import Recording
+from scsr_opt.camera import Recording, tfp
 from scsr_opt.errors import InputError
 from scsr_opt.report import bicubic, compare, detailed_part, figure
 
@@ -53,8 +53,8 @@ def test_a_part_of_a_small_picture_lies_within_it(size):
     assert 0 <= top < top + tall <= size[0] and 0 <= left < left + wide <= size[1]
 
 
-def test_figure_shows_all_that_there_is(spikes, solution):
-    drawn = figure(spikes, solution, scale=4, truth=solution.image, title="A street")
+def test_figure_shows_all_that_there_is(solution):
+    drawn = figure(solution, truth=solution.image, title="A street")
     assert _titles(drawn) == [
         "Playback (TFP, 21 frames), bicubic ×4",
         "Reconstruction ×4",
@@ -67,14 +67,27 @@ def test_figure_shows_all_that_there_is(spikes, solution):
     assert np.unique(_pixels(drawn)).size > 50
 
 
-def test_figure_without_stages_or_motion(spikes, solution):
-    bare = dataclasses.replace(solution, stages=(), motion=None)
-    recording = Recording.from_array(spikes, white_rate=0.3)
-    assert _titles(figure(recording, bare, scale=4, key=0))[2:] == ["Motion: none", "Convergence: not recorded"]
+def test_plot_is_the_figure_of_the_solution(solution):
+    drawn = solution.plot(title="A street", window=5)
+    assert _titles(drawn)[:2] == ["Playback (TFP, 5 frames), bicubic ×4", "Reconstruction ×4"]
+    np.testing.assert_array_equal(_pixels(drawn), _pixels(figure(solution, title="A street", window=5)))
 
 
-def test_nothing_is_drawn_outside_the_page(spikes, solution):
-    drawn = figure(spikes, solution, scale=4, title="A street")
+def test_figure_playback_is_that_of_the_solution_s_key_frame_and_white_rate(solution):
+    """Not those of the recording: a solution may be of another frame, and of another level of white."""
+    here = dataclasses.replace(solution, key=3, white_rate=0.3)
+    drawn = figure(here, window=5)
+    expected = bicubic(tfp(solution.recording.spikes[1:6], 2, window=5, white_rate=0.3), 4)
+    np.testing.assert_allclose(np.asarray(drawn.axes[0].images[0].get_array()), expected, atol=1e-6)
+
+
+def test_figure_without_stages_or_motion(solution):
+    bare = dataclasses.replace(solution, stages=(), motion=None, key=0)
+    assert _titles(figure(bare))[2:] == ["Motion: none", "Convergence: not recorded"]
+
+
+def test_nothing_is_drawn_outside_the_page(solution):
+    drawn = figure(solution, title="A street")
     page = drawn.bbox
     drawn.draw_without_rendering()
     for axes in drawn.axes:
@@ -83,16 +96,17 @@ def test_nothing_is_drawn_outside_the_page(spikes, solution):
 
 
 def test_a_narrow_picture_fits_on_a_page(solution):
-    narrow = dataclasses.replace(solution, image=np.full((400, 4), 0.5, np.float32), motion=None)
-    drawn = figure(np.ones((5, 100, 1), np.uint8), narrow, scale=4)
+    recording = Recording.from_array(np.ones((5, 100, 1), np.uint8))
+    image = np.full((400, 4), 0.5, np.float32)
+    drawn = figure(dataclasses.replace(solution, image=image, motion=None, recording=recording, key=2))
     assert drawn.get_size_inches()[1] < 30
     drawn.draw_without_rendering()
     first, second = (axes.get_tightbbox() for axes in (drawn.axes[0], drawn.axes[2]))
     assert first is not None and second is not None and first.x1 < second.x0  # with their titles
 
 
-def test_figures_leave_pyplot_alone(spikes, solution):
-    figure(spikes, solution, scale=4)
+def test_figures_leave_pyplot_alone(solution):
+    figure(solution)
     assert plt.get_fignums() == []
 
 
@@ -102,6 +116,6 @@ def test_one_grey_scale_for_all_pictures(scene):
     assert len(limits) == 1 and limits.pop()[1] > 0.4
 
 
-def test_the_key_frame_has_to_be_in_the_recording(spikes, solution):
+def test_the_key_frame_has_to_be_in_the_recording(solution):
     with pytest.raises(InputError, match="Key frame 99"):
-        figure(spikes, solution, scale=4, key=99)
+        figure(dataclasses.replace(solution, key=99))

@@ -6,18 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scsr_opt.camera import Recording
+from scsr_opt.pipeline.scene_summary import SceneSummary
+from scsr_opt.pipeline.solution import Diagnostics
 from scsr_opt.report import Report, versions
 from scsr_opt.report.summary import plain
-from scsr_opt.solvers.record import Status
+from scsr_opt.solvers.record import Status, TileIterations
 
 
 @pytest.fixture
-def report(spikes, solution) -> Report:
-    bad = np.zeros((24, 40), bool)
-    bad[0, :3] = True
-    recording = Recording.from_array(spikes, white_rate=0.5, bad_pixels=bad, name="street")
-    return Report.of(recording, solution, scale=4, key=15, seconds={"solve": 1.23456})
+def report(solution) -> Report:
+    return Report.of(solution, seconds={"solve": 1.23456})
 
 
 def test_the_numbers_are_the_solution_s(report, solution):
@@ -33,13 +31,36 @@ def test_the_numbers_are_the_solution_s(report, solution):
     }
     assert told["picture"]["width"] == 160 and told["picture"]["height"] == 96 and told["picture"]["key"] == 15
     assert told["picture"]["mean"] == pytest.approx(solution.image.mean(), rel=1e-6)
-    assert told["result"] == {"name": "converged", "sentence": Status.converged.sentence, "good": True}
+    assert told["picture"]["scale"] == 4
+    assert told["status"] == {"name": "converged", "message": Status.converged.message, "usable": True}
     assert told["motion"]["mean_speed"] == pytest.approx(0.1) and told["motion"]["top_speed"] == pytest.approx(0.2)
-    assert told["stats"] == {"iterations": 12, "strength": 0.25, "odd": None, "list": [True, None]}
+    said = {name: value for name, value in told["diagnostics"].items() if value is not None}
+    assert said == {"iterations": 12, "samples": 0, "strength": 0.25, "motion_carried": True, "seconds": {}}
+    assert told["diagnostics"].keys() == {field.name for field in dataclasses.fields(Diagnostics)}
+    assert told["scene"] is None and told["tiles"] is None
     assert [stage["objective"] for stage in told["stages"]] == [10.0 / t for t in range(1, 13)]
     assert "image" not in told["stages"][0]
     assert told["seconds"] == {"solve": 1.2346}
     assert told["versions"]["numpy"] == np.__version__ and "jax" in told["versions"]
+
+
+def test_report_of_a_solution_is_its_own_without_the_seconds_around_it(solution):
+    assert dataclasses.replace(solution.report(), seconds={"solve": 1.2346}) == Report.of(
+        solution, seconds={"solve": 1.23456}
+    )
+
+
+def test_report_has_the_numbers_of_scene_and_tiles(solution):
+    scene = SceneSummary(np.array([[0, 2]]), np.array([[31, 1]]), np.ones((1, 2), np.float32), "2 layers", 500, 200)
+    tiles = TileIterations(7, np.array([[0, 12]]), 64, float("nan"), 1e-3)
+    told = json.loads(dataclasses.replace(solution, scene=scene, tiles=tiles).report().json())
+    assert told["scene"] == scene.numbers and told["scene"]["tiles"]["static"] == 0.5
+    assert told["tiles"] == tiles.numbers and told["tiles"]["largest_change"] is None
+
+
+def test_report_white_rate_is_that_of_the_solution(solution):
+    """Light of another level of white than the recording's was asked for."""
+    assert dataclasses.replace(solution, white_rate=0.3).report().recording["white_rate"] == 0.3
 
 
 def test_written_file_is_json(report, tmp_path):
@@ -56,19 +77,22 @@ def test_lines_for_a_reader(report):
 
 
 def test_lines_say_what_is_saturated(report):
-    told = dataclasses.replace(report, stats={**report.stats, "saturated": 0.0917}).lines()
-    (line,) = (line for line in told if line.startswith("Saturated"))
+    def lines(saturated: float | None) -> list[str]:
+        diagnostics = {**report.diagnostics, "saturated": saturated}
+        return dataclasses.replace(report, diagnostics=diagnostics).lines()
+
+    (line,) = (line for line in lines(0.0917) if line.startswith("Saturated"))
     assert line.startswith("Saturated: 9.2 % of the pixels fired in 90 % of the frames or more") and "bound" in line
-    for share in ({}, {"saturated": 0.0}):
-        assert "aturated" not in " ".join(dataclasses.replace(report, stats={**report.stats, **share}).lines())
+    for share in (None, 0.0):
+        assert "aturated" not in " ".join(lines(share))
 
 
-def test_a_failed_solve_has_a_report_too(spikes, solution):
+def test_a_failed_solve_has_a_report_too(solution):
     failed = dataclasses.replace(
-        solution, image=np.full((96, 160), np.nan, np.float32), result=Status.non_finite, motion=None, stages=()
+        solution, image=np.full((96, 160), np.nan, np.float32), status=Status.non_finite, motion=None, stages=()
     )
-    told = json.loads(Report.of(Recording.from_array(spikes), failed, scale=4, key=0).json())
-    assert told["picture"]["mean"] is None and told["motion"] is None and told["result"]["good"] is False
+    told = json.loads(failed.report().json())
+    assert told["picture"]["mean"] is None and told["motion"] is None and told["status"]["usable"] is False
 
 
 def test_plain_takes_anything():

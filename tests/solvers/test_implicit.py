@@ -11,7 +11,7 @@ from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, RidgeRegulariser, TotalVariation
-from scsr_opt.solvers import Problem, solution
+from scsr_opt.solvers import Problem, implicit_minimiser
 
 SHAPE = (7, 9)
 PRIORS = {
@@ -58,7 +58,9 @@ def test_derivatives_are_those_of_finite_differences(name):
 
     @jax.jit
     def loss(strength, target):
-        image = solution(changed(base, strength, target), start, iterations=ITERATIONS, adjoint_iterations=ITERATIONS)
+        image = implicit_minimiser(
+            changed(base, strength, target), start, iterations=ITERATIONS, adjoint_iterations=ITERATIONS
+        )
         return jnp.sum(wanted * image)
 
     at = (base.strength, base.data.target)
@@ -92,7 +94,7 @@ def test_derivatives_by_m_and_by_the_lens():
         numbers = (planes + along_planes * directions[0], kernel + along_kernel * directions[1])
         moved = eqx.tree_at(lambda p: (p.data.stencil.planes, p.data.optics.kernels[0]), base, numbers)
         start = jnp.full(SHAPE, 0.5)
-        return jnp.sum(wanted * solution(moved, start, iterations=ITERATIONS, adjoint_iterations=ITERATIONS))
+        return jnp.sum(wanted * implicit_minimiser(moved, start, iterations=ITERATIONS, adjoint_iterations=ITERATIONS))
 
     δ = 1e-5
     for number, derivative in enumerate(jax.grad(loss, argnums=(0, 1))(0.0, 0.0)):
@@ -105,7 +107,7 @@ def test_derivatives_by_m_and_by_the_lens():
 def test_the_solution_is_the_minimiser():
     """No nearby picture is better, by more than the rest of the iterations."""
     base = problem(TotalVariation())
-    image = solution(base, jnp.full(SHAPE, 0.5), iterations=ITERATIONS)
+    image = implicit_minimiser(base, jnp.full(SHAPE, 0.5), iterations=ITERATIONS)
 
     def objective(image):
         return float(base.data.value(image) + base.strength * base.prior.value(image))
@@ -115,14 +117,16 @@ def test_the_solution_is_the_minimiser():
         other = image + size * jnp.asarray(rng.normal(size=SHAPE))
         assert objective(other) > objective(image)
     # Where total variation wins everywhere, the mean fits best what M and c say of a constant picture.
-    flat = solution(changed(base, jnp.asarray(10.0), base.data.target), image, iterations=ITERATIONS)
+    flat = implicit_minimiser(changed(base, jnp.asarray(10.0), base.data.target), image, iterations=ITERATIONS)
     level = float(jnp.sum(base.data.target) / jnp.sum(base.data.normal(jnp.ones(SHAPE))))
     np.testing.assert_allclose(flat, level, atol=1e-6)
 
 
 def test_the_start_has_no_influence():
     base = problem(HuberTotalVariation(knee=0.03))
-    gradient = jax.grad(lambda image: jnp.sum(solution(base, image, iterations=50, adjoint_iterations=50) ** 2))
+    gradient = jax.grad(
+        lambda image: jnp.sum(implicit_minimiser(base, image, iterations=50, adjoint_iterations=50) ** 2)
+    )
     np.testing.assert_array_equal(gradient(jnp.full(SHAPE, 0.5)), 0)
 
 
@@ -133,7 +137,7 @@ def test_without_samples_derivatives_are_finite():
     nothing = eqx.tree_at(lambda p: p.data.stencil.planes, base, jnp.zeros_like(base.data.stencil.planes))
 
     def loss(strength, target):
-        image = solution(changed(nothing, strength, target), start, iterations=100, adjoint_iterations=100)
+        image = implicit_minimiser(changed(nothing, strength, target), start, iterations=100, adjoint_iterations=100)
         return jnp.sum(start * image)
 
     for derivative in jax.grad(loss, argnums=(0, 1))(base.strength, jnp.zeros(SHAPE)):
@@ -142,6 +146,6 @@ def test_without_samples_derivatives_are_finite():
 
 def test_what_it_cannot_differentiate_is_refused():
     with pytest.raises(InputError, match="PlugAndPlay; it needs an Analysis prior"):
-        solution(problem(PlugAndPlay(lambda image, σ: image)), jnp.zeros(SHAPE))
+        implicit_minimiser(problem(PlugAndPlay(lambda image, σ: image)), jnp.zeros(SHAPE))
     with pytest.raises(InputError, match="0 adjoint_iterations"):
-        solution(problem(TotalVariation()), jnp.zeros(SHAPE), adjoint_iterations=0)
+        implicit_minimiser(problem(TotalVariation()), jnp.zeros(SHAPE), adjoint_iterations=0)

@@ -13,7 +13,8 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators import Blur, accumulate, place
 from scsr_opt.operators.data_term import Stencil
-from scsr_opt.priors import HuberTotalVariation, TotalVariation, default_prior
+from scsr_opt.pipeline.defaults import default_prior
+from scsr_opt.priors import HuberTotalVariation, TotalVariation
 from scsr_opt.progress import NoProgress
 from scsr_opt.solvers import (
     FISTA,
@@ -25,7 +26,7 @@ from scsr_opt.solvers import (
     Problem,
     Separable,
     Status,
-    divides,
+    is_tileable,
     run,
     run_tiles,
 )
@@ -94,9 +95,9 @@ def pixels(row: int, column: int) -> tuple[slice, slice]:
 def test_it_ends_at_the_minimum_with_no_tile_far_from_it(make, skip, problem, start, best):
     found = run_tiles(make(iterations=400), problem, start, skip=skip)
     assert found.status is Status.converged and found.stages[-1].residual <= 1e-4
-    active = found.active
-    assert active is not None and active.worst <= active.limit
-    assert active.alone.any() == skip
+    tiles = found.tiles
+    assert tiles is not None and tiles.largest_change <= tiles.change_limit
+    assert tiles.tile_iterations.any() == skip
     # At a relative residual of 1e-4 the plain loop is about as far above; five times as much is still safe.
     least = objective(problem, best.image)
     plain = run(make(iterations=400), problem, start)
@@ -144,9 +145,9 @@ def test_only_what_is_unfinished_and_what_that_wakes_is_gone_on_with(problem, be
     image[pixels(0, 0)] += 0.05 * np.random.default_rng(1).normal(size=(SIDE, SIDE))
     disturbed = best.state._replace(image=jnp.asarray(image, jnp.float32))
     found = run_tiles(FISTA(tolerance=3e-4), problem, jnp.asarray(image), similar=disturbed)
-    assert found.status is Status.converged and found.active is not None
-    alone = found.active.alone
-    assert alone[0, 0] > 0 and not alone[2:].any() and not alone[:, 2:].any()
+    assert found.status is Status.converged and found.tiles is not None
+    further = found.tiles.tile_iterations
+    assert further[0, 0] > 0 and not further[2:].any() and not further[:, 2:].any()
     least = objective(problem, best.image)
     assert objective(problem, found.image) - least < 0.01 * (objective(problem, image) - least)
 
@@ -161,8 +162,8 @@ def test_it_does_not_matter_what_weights_are_counted_in(problem, start):
 
     found = [run_tiles(FISTA(iterations=400), times(factor), start) for factor in (1.0, 1e3, 1e-4)]
     for outcome in found:
-        assert outcome.status is Status.converged and outcome.active is not None and found[0].active is not None
-        assert abs(outcome.active.alone.max() - found[0].active.alone.max()) <= 5
+        assert outcome.status is Status.converged and outcome.tiles is not None and found[0].tiles is not None
+        assert abs(outcome.tiles.tile_iterations.max() - found[0].tiles.tile_iterations.max()) <= 5
         np.testing.assert_allclose(outcome.image, found[0].image, atol=0.01)
 
 
@@ -170,7 +171,7 @@ def test_it_does_not_matter_what_weights_are_counted_in(problem, start):
 @pytest.mark.parametrize("most", [1, 2, 5, 9])
 def test_no_more_iterations_are_done_than_allowed(most, skip, problem, start):
     found = run_tiles(FISTA(iterations=most, tolerance=3e-3), problem, start, skip=skip)
-    assert found.active is not None and len(found.stages) + found.active.alone.max() <= most
+    assert found.tiles is not None and len(found.stages) + found.tiles.tile_iterations.max() <= most
     assert np.isfinite(found.image).all()
 
 
@@ -184,8 +185,8 @@ def test_corrections_are_asked_for_by_the_tolerance(problem, start):
 
 def test_the_limit_of_iterations_holds_for_each_tile(problem, start):
     found = run_tiles(FISTA(iterations=12, tolerance=1e-5), problem, start)
-    assert found.status is Status.iterations_exhausted and found.active is not None
-    assert len(found.stages) + found.active.alone.max() <= 12
+    assert found.status is Status.iterations_exhausted and found.tiles is not None
+    assert len(found.stages) + found.tiles.tile_iterations.max() <= 12
 
 
 def test_what_is_not_finite_ends_it(problem, start, rough, monkeypatch):
@@ -218,19 +219,19 @@ def test_it_is_one_solve_to_those_who_watch(problem, start):
     watched = Watched()
     found = run_tiles(FISTA(), problem, start, progress=watched)
     assert watched.started == watched.finished == 1
-    assert found.active is not None and found.active.alone.any()
-    assert watched.done == len(found.stages) + found.active.alone.max()
+    assert found.tiles is not None and found.tiles.tile_iterations.any()
+    assert watched.done == len(found.stages) + found.tiles.tile_iterations.max()
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     seconds = [stage.seconds for stage in found.stages]
     assert seconds == sorted(seconds)
 
 
 def test_it_is_for_steps_of_each_pixel_and_near_neighbours(problem):
-    assert divides(FISTA(), problem) and divides(ISTA(step_size=Separable()), problem)
-    assert not divides(ISTA(), problem)  # one step size for all pixels
-    assert not divides(FISTA(step_size=NormBound()), problem) and not divides(JaxoptFISTA(), problem)
-    assert not divides(FISTA(stopping=DualityGap()), problem)
-    assert divides(FISTA(), dataclasses.replace(problem, prior=TotalVariation()))
-    assert not divides(FISTA(), dataclasses.replace(problem, prior=default_prior(2)))
+    assert is_tileable(FISTA(), problem) and is_tileable(ISTA(step_size=Separable()), problem)
+    assert not is_tileable(ISTA(), problem)  # one step size for all pixels
+    assert not is_tileable(FISTA(step_size=NormBound()), problem) and not is_tileable(JaxoptFISTA(), problem)
+    assert not is_tileable(FISTA(stopping=DualityGap()), problem)
+    assert is_tileable(FISTA(), dataclasses.replace(problem, prior=TotalVariation()))
+    assert not is_tileable(FISTA(), dataclasses.replace(problem, prior=default_prior(2)))
     blurred = dataclasses.replace(problem.data, optics=Blur.gaussian(SHAPE, 1.0))
-    assert not divides(FISTA(), dataclasses.replace(problem, data=blurred))
+    assert not is_tileable(FISTA(), dataclasses.replace(problem, data=blurred))

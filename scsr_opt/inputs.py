@@ -3,7 +3,7 @@
 import math
 import operator
 from collections.abc import Callable
-from typing import SupportsFloat, SupportsIndex
+from typing import Any, SupportsFloat
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,10 +18,10 @@ _MOST_PIXELS = 10**8
 _STRONGEST = 1e18
 
 
-def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
+def whole(value: Any, name: str, least: int, most: int | None = None) -> int:
     """`value` as an int from `least` to `most`, or an `InputError` that names it."""
     try:
-        number = operator.index(value)
+        number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
         number = None
     if number is None or number < least or (most is not None and number > most):

@@ -67,13 +67,14 @@ def sequence(
     **Arguments:**
     - `spikes`, `scale`, `options`: as of `reconstruct`; without `key` and `state`, and `velocity` None or an
       `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
-    - `keys`: frames, best in order and a few frames apart.
+    - `keys`: frames, best in order and a few frames apart; one may come again.
 
     **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity 1 = white. Where
     `.stats["carried"]` is true, `.motion` is that of a picture before, carried on: not always what would be estimated
     there.
 
-    **Raises:** `InputError` as `reconstruct`, and for options that it finds itself.
+    **Raises:** `InputError` as `reconstruct`, and for options that it finds itself; for keys that are no frames of the
+    recording when it is called, before any picture is made.
     """
     for name in ("key", "state"):
         if name in options:
@@ -81,10 +82,16 @@ def sequence(
     estimator = options.pop("velocity", None)
     if estimator is not None and not isinstance(estimator, Estimator):
         raise InputError("sequence was given a velocity, which holds at one moment; hand in an Estimator, or nothing.")
-    if isinstance(keys, str) or not isinstance(keys, Iterable):
-        raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    return _pictures(recording, tuple(keys), whole(scale, "scale", 1), estimator, options)
+    return _pictures(recording, _frames(keys, recording), whole(scale, "scale", 1), estimator, options)
+
+
+def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
+    """The key frames as ints. **Raises:** `InputError` if one is no frame of the recording, or there is none."""
+    frames = None if isinstance(keys, str | bytes) or not isinstance(keys, Iterable) else tuple(keys)
+    if not frames:
+        raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
+    return tuple(whole(key, f"keys[{number}]", 0, recording.frames - 1) for number, key in enumerate(frames))
 
 
 class _Followed(NamedTuple):
@@ -110,7 +117,7 @@ class _Moment(NamedTuple):
 
 def _pictures(
     recording: Recording,
-    keys: tuple[SupportsIndex, ...],
+    keys: tuple[int, ...],
     scale: int,
     estimator: Estimator | None,
     options: dict[str, Any],
@@ -120,7 +127,7 @@ def _pictures(
     gains = None if gain is None or isinstance(gain, str) else pixel_gain(gain, recording.height, recording.width)
 
     def moments(
-        wanted: Iterable[SupportsIndex], followed: _Followed | None
+        wanted: Iterable[int], followed: _Followed | None
     ) -> Generator[tuple[_Moment, Prepared | None], None, None]:
         """The motion of each; where it is not carried on, all that is prepared."""
         for key in wanted:

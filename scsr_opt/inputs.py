@@ -3,7 +3,7 @@
 import math
 import operator
 from collections.abc import Callable
-from typing import Any, SupportsFloat
+from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -65,10 +65,50 @@ def picture_shape(recording: Recording, scale: int) -> tuple[int, int]:
     if scale**2 * recording.height * recording.width > _MOST_PIXELS:
         raise InputError(
             f"At scale {scale} the picture would have {scale**2 * recording.height * recording.width / 1e6:.0f} "
-            f"million pixels; at most {_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale or crop the "
-            f"recording."
+            f"million pixels; at most {_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale, or a crop."
         )
     return scale * recording.height, scale * recording.width
+
+
+class Part(NamedTuple):
+    """The part of a `sensor` (h, w) that is solved for: all of it, or the rectangle `crop`; `recording` is of that."""
+
+    recording: Recording
+    sensor: tuple[int, int]
+    crop: tuple[int, int, int, int] | None
+
+    @classmethod
+    def of(cls, spikes: ArrayLike | Recording, crop: Any) -> "Part":
+        """**Raises:** `InputError` if `crop` is not None nor (top, left, height, width) within the sensor."""
+        recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
+        shape = (recording.height, recording.width)
+        if crop is None:
+            return cls(recording, shape, None)
+        try:
+            if any(isinstance(number, bool) for number in crop):
+                raise TypeError("a mask")
+            top, left, height, width = map(operator.index, crop)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"crop is {crop!r}; it must be (top, left, height, width), four whole numbers of sensor pixels."
+            ) from error
+        return cls(recording.crop(top, left, height, width), shape, (top, left, height, width))
+
+    def cut(self, values: Any) -> Any:
+        """`values` for the pixels that are solved for: cut out if given for each pixel of the sensor, (…, h, w)."""
+        try:
+            array = np.asanyarray(values)
+        except (TypeError, ValueError, RuntimeError):
+            return values  # refused by what it is for
+        if self.crop is None or array.shape[-2:] != self.sensor:
+            return values
+        top, left, height, width = self.crop
+        return array[..., top : top + height, left : left + width]
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """For `Solution.stats`."""
+        return {} if self.crop is None else {"crop": self.crop}
 
 
 def bad_pixels_of(recording: Recording, more: ArrayLike | None) -> Bool[np.ndarray, "h w"] | None:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.inputs import pixel_gain, whole
+from scsr_opt.inputs import Part, pixel_gain, whole
 from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.carry import carry, moved_along
 from scsr_opt.motion.estimate import comparable
@@ -82,8 +82,9 @@ def sequence(
     estimator = options.pop("velocity", None)
     if estimator is not None and not isinstance(estimator, Estimator):
         raise InputError("sequence was given a velocity, which holds at one moment; hand in an Estimator, or nothing.")
-    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    return _pictures(recording, _frames(keys, recording), whole(scale, "scale", 1), estimator, options)
+    part = Part.of(spikes, options.pop("crop", None))
+    options.update({name: part.cut(options[name]) for name in ("bad_pixels", "gain") if name in options})
+    return _pictures(part, _frames(keys, part.recording), whole(scale, "scale", 1), estimator, options)
 
 
 def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
@@ -116,12 +117,13 @@ class _Moment(NamedTuple):
 
 
 def _pictures(
-    recording: Recording,
+    part: Part,
     keys: tuple[int, ...],
     scale: int,
     estimator: Estimator | None,
     options: dict[str, Any],
 ) -> Generator[Solution, None, None]:
+    recording = part.recording
     around = {name: options.get(name) for name in ("white_rate", "bad_pixels")}
     gain = options.get("gain")
     gains = None if gain is None or isinstance(gain, str) else pixel_gain(gain, recording.height, recording.width)
@@ -164,7 +166,7 @@ def _pictures(
         with closing(_ahead(ready(_ahead(moments(keys[done:], followed))))) as steps:
             for now, prepared in steps:
                 solution = solve(prepared, _start(now, prepared, before))
-                solution.stats["carried"] = now.carried is not None
+                solution.stats.update(part.said, carried=now.carried is not None)
                 followed = now.followed
                 if not solution.result.good or solution.motion is None:
                     followed = None

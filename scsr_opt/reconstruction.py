@@ -13,6 +13,7 @@ from scsr_opt.camera.gain import FIXED_PATTERN, gain_is_known, spread_of
 from scsr_opt.camera.measuring import Measuring
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.saturation import share_saturated, spike_counts
+from scsr_opt.inputs import Part
 from scsr_opt.motion.estimate import Estimator
 from scsr_opt.motion.refine import refine as refined
 from scsr_opt.motion.trajectory import Motion
@@ -49,6 +50,7 @@ def reconstruct(
     refine: SupportsIndex = 0,
     skip: bool = True,
     state: Any = None,
+    crop: Sequence[SupportsIndex] | None = None,
     progress: Progress | None = None,
     keep_images: bool = False,
 ) -> Solution:
@@ -87,6 +89,9 @@ def reconstruct(
       Where two motions explain a recording about equally well, each way may settle on another (2 of 48 recordings).
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
+    - `crop`: (top, left, height, width) of the part of the sensor that is solved for, sensor pixels; all if not given.
+      `bad_pixels`, `gain` and a field of `velocity` may be those of the whole sensor, and are cut out then, or of the
+      part; a `Motion`, `optics` and `state` are of the part. `Solution.stats["crop"]` has it.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.
 
     **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity 1 = white. `.stats["saturated"]` is the share of
@@ -95,16 +100,17 @@ def reconstruct(
     **Raises:** `InputError` if something handed in cannot be used. A solve that fails is not raised, but said by
     `Solution.result`.
     """
+    part = Part.of(spikes, crop)
     prepared = prepare(
-        spikes,
+        part.recording,
         scale=scale,
         key=key,
         frames=frames,
         white_rate=white_rate,
-        velocity=velocity,
-        bad_pixels=bad_pixels,
+        velocity=velocity if isinstance(velocity, Estimator | Motion) else part.cut(velocity),
+        bad_pixels=part.cut(bad_pixels),
         samples=samples,
-        gain=gain,
+        gain=part.cut(gain),
         optics=optics,
         prior=prior,
         strength=strength,
@@ -115,7 +121,9 @@ def reconstruct(
         progress=progress,
         keep_images=keep_images,
     )
-    return solve(prepared, state)
+    solution = solve(prepared, state)
+    solution.stats.update(part.said)
+    return solution
 
 
 def solve(prepared: Prepared, state: Any = None) -> Solution:

@@ -72,7 +72,8 @@ def figure(
 
     **Arguments:**
     - `recording`: a `Recording`, or spikes (T, h, w).
-    - `solution`: of that recording; its `stages` and `velocity` may be missing.
+    - `solution`: of that recording, or of the part of it that `reconstruct` was given as `crop`; its `stages` and
+      `velocity` may be missing.
     - `scale`: HR pixels per sensor pixel, the one that was solved for.
     - `key`: the key frame; the middle one if None.
     - `white_rate`: spikes per frame of white; the recording's own (0.6 for an array) if None.
@@ -87,6 +88,9 @@ def figure(
     from scsr_opt.camera import Recording, tfp
 
     source = recording if isinstance(recording, Recording) else Recording.from_array(recording)
+    crop = solution.stats.get("crop")
+    if crop is not None and (source.height, source.width) != tuple(crop[2:]):
+        source = source.crop(*crop)
     rate = source.white_rate if white_rate is None else white_rate
     middle = source.frames // 2 if key is None else key
     start, stop = source.around(middle, window)
@@ -133,7 +137,10 @@ def compare(
     with matplotlib.rc_context(_STYLE):
         drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
         if title:
-            drawn.text(_MARGIN / page, 1 - _MARGIN / end, title, va="top", fontsize=13, fontweight="bold")
+            drawn.text(
+                _MARGIN / page, 1 - _MARGIN / end, _as_text(title), va="top", fontsize=13, fontweight="bold",
+                parse_math=False,
+            )  # fmt: skip
         for number, (name, image) in enumerate(pictures.items()):
             x = _MARGIN + number * (column + _GUTTER)
             whole = _axes(drawn, x, first, across, across * height / width)
@@ -192,7 +199,8 @@ def plan_figure(solution: Solution, *, scale: int, title: str | None = None) -> 
             if (colour := _OF_KIND[kind]) is not None:
                 colours[plan.kind == kind] = to_rgba(colour, 0.35)
         _tiled(axes, solution.image, colours, plan.tile * scale)
-        axes.set_title(title or "What each tile asks for", loc="left", fontsize=10)
+        named = _as_text(title or "What each tile asks for")
+        axes.set_title(named, loc="left", fontsize=10, parse_math=False)
         if active is not None:
             x = _MARGIN + column + _GUTTER
             beside = _axes(drawn, x, top, across, tall)
@@ -263,6 +271,11 @@ def detailed_part(
     ]
     top, left = np.unravel_index(int(np.argmax(starts)), starts.shape)
     return (int(top) + edge, int(left) + edge, tall, wide)
+
+
+def _as_text(title: str) -> str:
+    """A title in one line: names of files, of which it is made, may hold line breaks and bytes that are no text."""
+    return " ".join(title.split()).encode("utf-8", "backslashreplace").decode()
 
 
 def _white_level(pictures: Any) -> float:

@@ -7,7 +7,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from scsr_opt.camera import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.report import bicubic, compare, detailed_part, figure
+from scsr_opt.report import bicubic, compare, detailed_part, figure, plan_figure
+from scsr_opt.skip import Plan
 
 
 def _titles(drawn) -> list[str]:
@@ -105,3 +106,25 @@ def test_one_grey_scale_for_all_pictures(scene):
 def test_the_key_frame_has_to_be_in_the_recording(spikes, solution):
     with pytest.raises(InputError, match="Key frame 99"):
         figure(spikes, solution, scale=4, key=99)
+
+
+@pytest.mark.parametrize("title", ["a $x$ b", "$\\frac{x$", "two\nlines", "a\udcff", "$$", "\\", "電影"])
+@pytest.mark.filterwarnings("ignore:Glyph")
+def test_titles_are_names_of_files_and_no_formulas(spikes, solution, title):
+    """Drawn, as they would fail only then."""
+    plan = Plan(np.array([[0, 2]]), np.array([[31, 1]]), np.ones((1, 2), np.float32), "2 layers", 5, 2)
+    for drawn in (
+        figure(Recording.from_array(spikes), solution, scale=4, title=title),
+        plan_figure(dataclasses.replace(solution, plan=plan), scale=4, title=title),
+    ):
+        assert _pixels(drawn).shape[2] == 4
+        texts = [text.get_text() for text in (*drawn.texts, *(axes.title for axes in drawn.axes))]
+        texts += _titles(drawn)
+        assert " ".join(title.split()).replace("\udcff", "\\udcff") in texts
+
+
+def test_the_figure_of_a_crop_shows_its_playback(spikes, solution):
+    cut = dataclasses.replace(solution, image=solution.image[:32, :64], stats={"crop": (3, 5, 8, 16)}, motion=None)
+    recording = Recording.from_array(spikes)
+    of_whole, of_part = (figure(r, cut, scale=4, key=15) for r in (recording, recording.crop(3, 5, 8, 16)))
+    np.testing.assert_array_equal(_pixels(of_whole), _pixels(of_part))

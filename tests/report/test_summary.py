@@ -63,6 +63,24 @@ def test_lines_say_what_is_saturated(report):
         assert "aturated" not in " ".join(dataclasses.replace(report, stats={**report.stats, **share}).lines())
 
 
+def test_the_report_says_which_part_of_the_sensor_the_picture_shows(spikes, solution):
+    recording = Recording.from_array(spikes, name="street")
+    assert json.loads(Report.of(recording, solution, scale=4, key=15).json())["picture"]["crop"] is None
+    cut = dataclasses.replace(solution, image=solution.image[:32, :64], stats={"crop": (3, 5, 8, 16)}, motion=None)
+    report = Report.of(recording, cut, scale=4, key=15)
+    told = json.loads(report.json())
+    assert told["picture"]["crop"] == [3, 5, 8, 16] and told["recording"]["width"] == 40
+    assert report.lines()[0] == (
+        "street: 31 frames of 40x24, 16x8 of them from row 3, column 5, key frame 15 -> 64x32 (x4)"
+    )
+
+
+def test_names_that_are_no_text_are_escapes_in_the_report(report, tmp_path):
+    odd = 'a\udcff\n"b" é'
+    dataclasses.replace(report, recording={"name": odd}).write(tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))["recording"]["name"] == odd
+
+
 def test_a_failed_solve_has_a_report_too(spikes, solution):
     failed = dataclasses.replace(
         solution, image=np.full((96, 160), np.nan, np.float32), result=Result.non_finite, motion=None, stages=()

@@ -1,5 +1,6 @@
 """How `scsr solve` is to solve: options, and what they mean as arguments of `reconstruct`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -59,8 +60,9 @@ class Solving:
     gain: Annotated[
         str,
         Parameter(
-            help="Fixed pattern: FILE.npy with (height, width) gains, around 1; blind: from the recording itself, "
-            "where it moves and, as far as pictures tell, where it rests; auto: that, if a pattern is found; none."
+            help="Fixed pattern: FILE.npy with (height, width) gains, around 1, of the sensor or the crop; blind: from "
+            "the recording itself, where it moves and, as far as pictures tell, where it rests; auto: that, if a "
+            "pattern is found; none."
         ),
     ] = "auto"
     optics: Annotated[
@@ -125,22 +127,27 @@ class Solving:
 
             prior_strength(self.strength, "--strength")
 
-    def arguments(self, recording: "scsr_opt.camera.Recording", scale: int) -> dict[str, Any]:
-        """Those of `reconstruct`; what was not asked for is left to its defaults.
+    def arguments(
+        self, recording: "scsr_opt.camera.Recording", scale: int, crop: tuple[int, int, int, int] | None
+    ) -> dict[str, Any]:
+        """Those of `reconstruct`; what was not asked for is left to its defaults. `recording`: of the whole sensor.
 
         **Raises:** `InputError` for what does not go together, or with this recording.
         """
+        part = recording if crop is None else recording.crop(*crop)
+        shapes = sorted({(known.height, known.width) for known in (recording, part)}, reverse=True)
         given = {
-            "velocity": velocity_of(recording, self.motion),
+            "velocity": velocity_of(shapes, self.motion),
             "samples": self._samples(recording),
             "robust": self._robust(),
-            "gain": self._gain(recording),
-            "optics": self._optics(recording, scale),
+            "gain": self._gain(shapes),
+            "optics": self._optics(part, scale),
             "prior": self._prior(scale),
             "strength": self.strength,
             "solver": self._solver(),
             "refine": self.refine or None,
             "skip": None if self.skip else False,
+            "crop": crop,
         }
         return {name: value for name, value in given.items() if value is not None}
 
@@ -162,20 +169,20 @@ class Solving:
 
         return None if self.robust is None else {"huber": operators.Huber, "welsch": operators.Welsch}[self.robust]()
 
-    def _gain(self, recording: "scsr_opt.camera.Recording") -> Any:
+    def _gain(self, shapes: list[tuple[int, int]]) -> Any:
         if self.gain in ("auto", "blind"):
             return None if self.gain == "auto" else self.gain
         if self.gain == "none":
             import numpy as np
 
-            return np.ones((recording.height, recording.width), np.float32)
+            return np.ones(shapes[0], np.float32)
         if not self.gain.endswith(".npy"):
             raise InputError(f"--gain is {self.gain}, but it must be auto, blind, none or the name of a .npy file.")
-        gain, shape = load_npy("gain", self.gain), (recording.height, recording.width)
-        if gain.shape != shape or gain.dtype.kind not in "fiu" or not ((gain > 0) & (gain < inf)).all():
+        gain = load_npy("gain", self.gain)
+        if gain.shape not in shapes or gain.dtype.kind not in "fiu" or not ((gain > 0) & (gain < inf)).all():
             raise InputError(
-                f"--gain {self.gain} holds {gain.dtype} of shape {gain.shape}, but gains are {shape}, finite and "
-                f"above 0."
+                f"--gain {self.gain} holds {gain.dtype} of shape {gain.shape}, but gains are {_either(shapes)}, "
+                f"finite and above 0."
             )
         return gain
 
@@ -242,8 +249,10 @@ class Solving:
         return method() if self.iterations is None else method(iterations=self.iterations)
 
 
-def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
+def velocity_of(shapes: list[tuple[int, int]], motion: str) -> Any:
     """An estimator, or (2, h, w) float32 in sensor pixels per frame; None where `reconstruct` is to choose.
+
+    **Arguments:** `shapes`: (h, w) of the sensor, and of the part of it that is cropped, if it is.
 
     **Raises:** `InputError` if `motion` is none of what the option allows.
     """
@@ -264,13 +273,13 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
         return None
     if motion in named:
         return named[motion]()
-    shape = (2, recording.height, recording.width)
+    fields = [(2, *shape) for shape in shapes]
     if motion.endswith(".npy"):
         field = load_npy("motion", motion)
-        if field.shape != shape or field.dtype.kind not in "fiu" or not (np.abs(field) <= FASTEST).all():
+        if field.shape not in fields or field.dtype.kind not in "fiu" or not (np.abs(field) <= FASTEST).all():
             raise InputError(
-                f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {shape}, finite, in "
-                f"sensor pixels per frame, of {FASTEST:g} at most either way."
+                f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {_either(fields)}, "
+                f"finite, in sensor pixels per frame, of {FASTEST:g} at most either way."
             )
         return field.astype(np.float32)
     down, _, right = motion.partition(",")
@@ -286,7 +295,11 @@ def velocity_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
             f"--motion is {motion}, but DOWN,RIGHT must be two finite numbers of sensor pixels per frame, of "
             f"{FASTEST:g} at most either way."
         )
-    return np.broadcast_to(velocity.astype(np.float32)[:, None, None], shape).copy()
+    return np.broadcast_to(velocity.astype(np.float32)[:, None, None], fields[0]).copy()
+
+
+def _either(shapes: Sequence[tuple[int, ...]]) -> str:
+    return " or, of the crop, ".join(str(shape) for shape in shapes)
 
 
 def load_npy(option: str, path: str) -> "np.ndarray":

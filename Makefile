@@ -34,7 +34,7 @@ $(DEV_STAMP): pyproject.toml constraints.txt scripts/setup.sh
 	@touch $(RUN_STAMP) $@
 
 demo: $(RUN_STAMP)
-	@$(PY) -m scsr_opt.cli demo
+	@$(PY) -m scsr_opt.cli demo --overwrite
 
 test: lint types pytest
 

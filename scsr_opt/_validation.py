@@ -3,7 +3,7 @@
 import math
 import operator
 from collections.abc import Callable
-from typing import SupportsFloat, SupportsIndex
+from typing import Any, SupportsFloat
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,10 +18,10 @@ _MOST_PIXELS = 10**8
 _STRONGEST = 1e18
 
 
-def whole(value: SupportsIndex, name: str, least: int, most: int | None = None) -> int:
+def whole(value: Any, name: str, least: int, most: int | None = None) -> int:
     """`value` as an int from `least` to `most`, or an `InputError` that names it."""
     try:
-        number = operator.index(value)
+        number = None if isinstance(value, bool) else operator.index(value)
     except TypeError:
         number = None
     if number is None or number < least or (most is not None and number > most):
@@ -65,10 +65,22 @@ def picture_shape(recording: Recording, scale: int) -> tuple[int, int]:
     if scale**2 * recording.height * recording.width > _MOST_PIXELS:
         raise InputError(
             f"At scale {scale} the picture would have {scale**2 * recording.height * recording.width / 1e6:.0f} "
-            f"million pixels; at most {_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale or crop the "
-            f"recording."
+            f"million pixels; at most {_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale, or a crop."
         )
     return scale * recording.height, scale * recording.width
+
+
+def rectangle(crop: Any, name: str = "crop") -> tuple[int, int, int, int]:
+    """`crop` as (top, left, height, width). **Raises:** `InputError` if it is not four whole numbers."""
+    try:
+        if any(isinstance(number, bool) for number in crop):
+            raise TypeError("a mask")
+        top, left, height, width = map(operator.index, crop)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} is {crop!r}; it must be (top, left, height, width), four whole numbers of sensor pixels."
+        ) from error
+    return top, left, height, width
 
 
 def bad_pixels_of(recording: Recording, more: ArrayLike | None) -> Bool[np.ndarray, "h w"] | None:

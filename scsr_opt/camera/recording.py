@@ -155,15 +155,19 @@ class Recording:
         start = min(max(middle - count // 2, 0), self.frames - count)
         return (start, start + count)
 
-    def crop(self, top: int, left: int, height: int, width: int) -> "Recording":
-        """The recording of a rectangle of the sensor, still read from where it lies.
+    def crop(self, top: SupportsIndex, left: SupportsIndex, height: SupportsIndex, width: SupportsIndex) -> "Recording":
+        """The recording of a rectangle of the sensor, still read from where it lies; `bad_pixels` are those in it.
 
-        **Raises:** `InputError` if the rectangle is empty or reaches outside the sensor.
+        **Raises:** `InputError` if the rectangle is not of whole pixels, is empty or reaches outside the sensor.
         """
+        top, left = _index(top, "top", "pixels"), _index(left, "left", "pixels")
+        height, width = _index(height, "height", "pixels"), _index(width, "width", "pixels")
         if not (0 <= top < top + height <= self.height and 0 <= left < left + width <= self.width):
             raise InputError(
                 f"The crop of {height} rows from {top} and {width} columns from {left} does not lie in {self.name}, "
-                f"which has {self.height} rows and {self.width} columns: choose a smaller or another one."
+                f"which has {self.height} rows and {self.width} columns: choose a height and a width of at least 1, a "
+                f"top and a left of at least 0, top + height of at most {self.height} and left + width of at most "
+                f"{self.width}."
             )
         mask = self.bad_pixels
         if mask is not None:
@@ -215,11 +219,13 @@ def _between(value: Any, name: str, least: float, most: float, unit: str) -> flo
     return number
 
 
-def _index(value: Any, name: str) -> int:
+def _index(value: Any, name: str, counted: str = "frames") -> int:
     try:
         return operator.index(value)
     except TypeError:
-        raise InputError(f"{name} is {value!r}, but frames are counted in whole numbers, the first one is 0.") from None
+        raise InputError(
+            f"{name} is {value!r}, but {counted} are counted in whole numbers, the first one is 0."
+        ) from None
 
 
 def _held(array: np.ndarray) -> str:

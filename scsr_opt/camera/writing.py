@@ -5,11 +5,10 @@ final name is a whole one, whatever happens in between. Frames are read and writ
 """
 
 import dataclasses
+import io
 import os
-import secrets
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BufferedIOBase
 from pathlib import Path
 from typing import IO, Any, SupportsFloat
@@ -22,10 +21,13 @@ from scsr_opt.camera.flat import known_sizes, show_size
 from scsr_opt.camera.recording import Recording, checked_settings
 from scsr_opt.camera.sources import pack
 from scsr_opt.errors import InputError
+from scsr_opt.report.files import check_writable, read_meanwhile, whole_file
 
 ENDINGS = (".dat", ".npy", ".npz", ".h5", ".hdf5")
 
 _CHUNK_BYTES = 32 << 20
+# Frames that HDF5 compresses together: few, so that a window reads little more than itself.
+_HDF5_FRAMES = 8
 
 
 def write_recording(
@@ -44,7 +46,7 @@ def write_recording(
     and a `.dat` not even for their size, which belongs in its name (`…_400x250.dat`).
 
     **Arguments:**
-    - `path`: ends in `.dat`, `.npy`, `.npz`, `.h5` or `.hdf5`; a file of that name is replaced.
+    - `path`: ends in `.dat`, `.npy`, `.npz`, `.h5` or `.hdf5`; a file of that name is replaced, as by `numpy.save`.
     - `recording`: a `Recording`, or an array (T, h, w) of 0 and 1, upright.
     - `flip`: `.dat` only: store the rows bottom-up as cameras do (the default), or top-down.
     - `row_bits`: `.dat` only: length of a row in the file, at least the width; zero bits are appended. By default the
@@ -53,8 +55,8 @@ def write_recording(
 
     **Returns:** the path.
 
-    **Raises:** `InputError` if the ending is not known, the folder is missing, the recording is not one, or `path` is a
-    `.dat` that would be read back with another size.
+    **Raises:** `InputError` if the ending is not known, the file cannot be written, the recording is not one, or `path`
+    is a `.dat` that would be read back with another size.
     """
     file = Path(path)
     ending = file.suffix.lower()
@@ -68,9 +70,7 @@ def write_recording(
             f"flip or row_bits was given for {file.name}, but only flat .dat files have them: leave them out (other "
             f"files are upright)."
         )
-    if file.is_dir() or not file.parent.is_dir():
-        found = "is a folder" if file.is_dir() else "is in a folder that does not exist"
-        raise InputError(f"{file} cannot be written, it {found}: give the name of a file in a folder that is there.")
+    check_writable(file)
     if not isinstance(recording, Recording):
         recording = Recording.from_array(recording)
     settings = checked_settings(
@@ -83,7 +83,7 @@ def write_recording(
     if ending == ".dat":
         bits = recording.width if row_bits is None else row_bits
         _check_flat(file, recording, bits)
-    with _replacing(file) as part:
+    with whole_file(file) as part:
         if ending == ".dat":
             _write_flat(part, recording, bits, flip is None or bool(flip))
         elif ending == ".npy":
@@ -94,17 +94,6 @@ def write_recording(
         else:
             _write_hdf5(part, recording)
     return file
-
-
-@contextmanager
-def _replacing(file: Path) -> Iterator[Path]:
-    """A temporary name beside `file`, renamed to it at the end, or removed if anything went wrong."""
-    part = file.with_name(f".{file.name}.{secrets.token_hex(4)}.part")
-    try:
-        yield part
-        os.replace(part, file)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _check_flat(file: Path, recording: Recording, row_bits: int) -> None:
@@ -122,10 +111,11 @@ def _check_flat(file: Path, recording: Recording, row_bits: int) -> None:
         )
 
 
-def _chunks(recording: Recording) -> Iterator[UInt8[np.ndarray, "n h w"]]:
-    step = max(1, _CHUNK_BYTES // (recording.height * recording.width))
-    for start in range(0, recording.frames, step):
-        yield recording.window(start, min(start + step, recording.frames))
+def _chunks(recording: Recording, multiple: int = 1) -> Iterator[UInt8[np.ndarray, "n h w"]]:
+    """All frames, a `multiple` of so many at a time."""
+    step = max(1, _CHUNK_BYTES // (recording.height * recording.width * multiple)) * multiple
+    starts = range(0, recording.frames, step)
+    return read_meanwhile(recording.window(start, min(start + step, recording.frames)) for start in starts)
 
 
 def _write_flat(part: Path, recording: Recording, row_bits: int, flipped: bool) -> None:
@@ -146,7 +136,7 @@ def _write_npz(part: Path, recording: Recording) -> None:
     # By hand because np.savez_compressed takes ten times as long for a file a third smaller (level 6), and needs all
     # spikes at once. One byte a pixel and not packed bits, so that np.load(path)["spikes"] is all anyone needs to read
     # it.
-    with zipfile.ZipFile(part, "x", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("spikes.npy", "w", force_zip64=True) as member:
             _write_spikes(member, recording)
         for name, value in _extras(recording).items():
@@ -156,25 +146,51 @@ def _write_npz(part: Path, recording: Recording) -> None:
 
 def _write_hdf5(part: Path, recording: Recording) -> None:
     frames, height, width = recording.shape
-    with h5py.File(part, "x") as file:
-        # Chunks of a few frames, so that a window reads little more than itself.
-        stored = file.create_dataset(
-            "raw_spike",
-            recording.shape,
-            np.uint8,
-            chunks=(min(frames, 8), height, width),
-            compression="gzip",
-            compression_opts=1,
-        )
-        start = 0
-        for window in _chunks(recording):
-            stored[start : start + len(window)] = window
-            start += len(window)
-        extras = _extras(recording)
-        mask = extras.pop("bad_pixels", None)
-        stored.attrs.update(extras)
-        if mask is not None:
-            file.create_dataset("bad_pixels", data=mask)
+    with _HDF5File(part, "r+") as stored_in:
+        # No cache of chunks, so that a disk is found full while frames are written, not after the last.
+        with h5py.File(stored_in, "w", rdcc_nbytes=0) as file:
+            stored = file.create_dataset(
+                "raw_spike",
+                recording.shape,
+                np.uint8,
+                chunks=(min(frames, _HDF5_FRAMES), height, width),
+                compression="gzip",
+                compression_opts=1,
+            )
+            start = 0
+            for window in _chunks(recording, _HDF5_FRAMES):
+                stored[start : start + len(window)] = window
+                start += len(window)
+                if stored_in.error is not None:
+                    break
+            extras = _extras(recording)
+            mask = extras.pop("bad_pixels", None)
+            stored.attrs.update(extras)
+            if mask is not None:
+                file.create_dataset("bad_pixels", data=mask)
+
+
+class _HDF5File(io.FileIO):
+    """A file for h5py that raises what was wrong with writing at the end of its `with` block, and not before.
+
+    HDF5 does not get over a write that fails: closing the file then ends the whole process.
+    """
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data)
+        while len(left) and self.error is None:
+            try:
+                left = left[super().write(left) :]
+            except OSError as error:
+                self.error = error
+        return len(data)
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+        if self.error is not None:
+            raise self.error
 
 
 def _extras(recording: Recording) -> dict[str, Any]:

@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 the solve failed and no picture was written; 2 something t
 arguments, unreadable file, no place to write); 130 interrupted.
 """
 
+import io
 import os
 import sys
 import warnings
@@ -58,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if arguments is None:  # a process of its own
         keep_compiled()
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold bytes that are no text
     try:
         with _warnings_in_one_line():
             code = app(list(sys.argv[1:] if arguments is None else arguments), exit_on_error=False, print_error=False)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame
+from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame
 from scsr_opt.errors import InputError
 
 Method = Literal[
@@ -47,6 +47,7 @@ def baseline(
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
     reading: Reading | None = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Make the picture of one moment by a simpler method, to compare that of `scsr solve` with.
@@ -56,7 +57,7 @@ def baseline(
     from scsr_opt.report.pictures import PictureFormat, write_picture
 
     PictureFormat.of(output, bits=bits, gamma=gamma)
-    check_outputs([file], output=output)
+    check_outputs([file], overwrite, output=output)
     if scale < 1:
         raise InputError(f"--scale is {scale}, but it must be at least 1.")
     recording = (reading or Reading()).open(file)

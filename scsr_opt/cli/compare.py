@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress
+from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, progress
 from scsr_opt.errors import InputError
 from scsr_opt.report.files import check_writable
 
@@ -42,6 +42,7 @@ def compare(
         bool, Parameter(help="Measure seconds and FLOPs, for which each stage of a network is compiled by itself.")
     ] = True,
     reading: Reading | None = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Compare optimizers and networks stage by stage on one moment of a recording.
@@ -58,7 +59,7 @@ def compare(
     # `learned` builds on this package; it is known here by name only, and only while the command runs.
     from learned.evaluation.stage_report import FILES
 
-    _check_folder(out, [file, *([] if truth is None else [truth])], FILES)
+    _check_folder(out, [file, *([] if truth is None else [truth])], FILES, overwrite)
     recording = (reading or Reading()).open(file)
     moment = key_frame(recording, key)
 
@@ -78,10 +79,10 @@ def compare(
     return 0
 
 
-def _check_folder(out: Path, inputs: list[Path], names: tuple[str, ...]) -> None:
-    """**Raises:** `InputError` if the outputs cannot be written there, or would replace an input."""
+def _check_folder(out: Path, inputs: list[Path], names: tuple[str, ...], overwrite: bool) -> None:
+    """**Raises:** `InputError` if the outputs cannot be written there, or would replace a file that they may not."""
     if out.is_dir():
-        check_outputs(inputs, **{f"out/{name}": out / name for name in names})
+        check_outputs(inputs, overwrite, **{f"out/{name}": out / name for name in names})
     elif out.exists():
         raise InputError(f"--out {out} is a file; name a folder.")
     else:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import Quiet, progress, say_failure
+from scsr_opt.cli.options import Overwrite, Quiet, check_outputs, progress, say_failure
 from scsr_opt.errors import InputError
 
 
@@ -14,6 +14,7 @@ def demo(
     output: Annotated[
         Path, Parameter(name=["--output", "-o"], help="Folder to write to; it is made if it is not there.")
     ] = Path("demo_output"),
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Simulate a moving scene, solve it at four times the resolution, and show both side by side.
@@ -24,10 +25,9 @@ def demo(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"The folder {output} cannot be made: {(error.strerror or str(error)).lower()}.") from error
-    from scsr_opt.cli.demo_scene import run
-    from scsr_opt.report.files import check_writable
+    from scsr_opt.cli.demo_scene import FILES, run
 
-    check_writable(output / "figure.png")
+    check_outputs([], overwrite, **{f"output/{name}": output / name for name in FILES})
     outcome = run(output, progress=progress(quiet))
     if not outcome.solution.status.usable:
         say_failure("No picture was written", outcome.solution.status.message)

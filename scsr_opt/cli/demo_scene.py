@@ -64,6 +64,10 @@ def psnr(truth: Float[np.ndarray, "H W"], image: Float[np.ndarray, "H W"], borde
     return float(-10 * np.log10(np.mean(np.square(error, dtype=np.float64))))
 
 
+FILES = ("recording.npz", "report.json", "truth.png", "picture.png", "figure.png")
+"""What `run` writes."""
+
+
 def run(folder: Path, *, progress: Progress | None = None) -> Demo:
     """Runs the demo and writes recording.npz, picture.png, truth.png, report.json and figure.png into `folder`.
 

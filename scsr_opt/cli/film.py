@@ -8,10 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, moments, progress, say_failure
+from scsr_opt.cli.options import (
+    File,
+    Overwrite,
+    Quiet,
+    Reading,
+    Whole,
+    check_new,
+    check_outputs,
+    moments,
+    progress,
+    say_failure,
+)
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
+from scsr_opt.report.files import check_writable
 
 if TYPE_CHECKING:
     import scsr_opt
@@ -45,6 +57,7 @@ def film(
     ] = None,
     solving: Solving | None = None,
     reading: Reading | None = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Solve for the super-resolved pictures of many moments, each starting from what is known of the one before.
@@ -55,17 +68,22 @@ def film(
     from scsr_opt.report.pictures import check_film, write_film
 
     check_film(output, rate=rate, gamma=gamma)
-    check_outputs([file], output=output)
-    if pictures is not None and not pictures.is_dir():
-        raise InputError(f"--pictures {pictures} is no folder: make it first, or leave the option out.")
+    check_outputs([file], overwrite, output=output)
+    if pictures is not None:
+        if not pictures.is_dir():
+            raise InputError(f"--pictures {pictures} is no folder: make it first, or leave the option out.")
+        check_writable(pictures / "0.tif")
     for name, value in (("scale", scale), ("frames", frames)):
         if value is not None and value < 1:
             raise InputError(f"--{name} is {value}, but it must be at least 1.")
     solving = solving or Solving()
     solving.check()
-    recording = (reading or Reading()).open(file)
+    recording, crop = (reading or Reading()).whole(file)
     keys = moments(recording, start, stop, step, about=_PICTURES)
-    choices = solving.arguments(recording, scale)
+    made = _Made(pictures, keys)
+    for path in made.paths():
+        check_new("pictures", path, overwrite)
+    choices = solving.arguments(recording, scale, crop)
 
     from scsr_opt import reconstruct_sequence
     from scsr_opt.motion import Estimator
@@ -79,10 +97,9 @@ def film(
         choices["frames"] = frames
 
     begin = time.perf_counter()
-    made = _Made(pictures)
     solutions = reconstruct_sequence(recording, keys, scale=scale, **choices)
     try:
-        count = write_film(output, made.images(keys, solutions, progress(quiet)), rate=rate, gamma=gamma)
+        count = write_film(output, made.images(solutions, progress(quiet)), rate=rate, gamma=gamma)
     except _Failed as failed:
         say_failure(f"No film was written, because of frame {failed.key}", failed.sentence)
         return 1
@@ -108,20 +125,29 @@ class _Made:
     """Pictures as they come, written to `folder` if there is one, and the frames at which motion was found `anew`."""
 
     folder: Path | None
+    keys: range
     anew: list[int] = field(default_factory=list)
 
-    def images(self, keys: range, solutions: Iterator["scsr_opt.Solution"], meter: Progress) -> Iterator[Any]:
+    def paths(self) -> list[Path]:
+        """Where the pictures are written, one for each key; none without a folder."""
+        if self.folder is None:
+            return []
+        digits = len(str(self.keys[-1]))
+        return [self.folder / f"{key:0{digits}d}.tif" for key in self.keys]
+
+    def images(self, solutions: Iterator["scsr_opt.Solution"], meter: Progress) -> Iterator[Any]:
         from scsr_opt.report.pictures import write_picture
 
-        meter.start(len(keys), "Solving")
+        meter.start(len(self.keys), "Solving")
+        paths = iter(self.paths())
         try:
-            for key, solution in zip(keys, solutions, strict=True):
+            for key, solution in zip(self.keys, solutions, strict=True):
                 if not solution.status.usable:
                     raise _Failed(key, solution.status.message)
                 if not solution.diagnostics.motion_carried:
                     self.anew.append(key)
                 if self.folder is not None:
-                    write_picture(self.folder / f"{key:0{len(str(keys[-1]))}d}.tif", solution.image, bits=32)
+                    write_picture(next(paths), solution.image, bits=32)
                 yield solution.image
                 meter.advance(1)
         finally:

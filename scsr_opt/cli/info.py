@@ -25,8 +25,9 @@ def info(
 
     Rates are in spikes per pixel and frame; the rate of a white pixel is what --white-rate is for.
     """
-    recording = (reading or Reading()).open(file)
-    facts = describe(recording, progress(quiet))
+    recording, crop = (reading or Reading()).whole(file)
+    facts = describe(recording if crop is None else recording.crop(*crop), progress(quiet))
+    facts["crop"] = crop
     facts["file"] = file.as_posix()
     if json:
         print(dumps(facts, indent=1))
@@ -79,6 +80,7 @@ def _lines(file: Path, facts: dict[str, Any]) -> list[str]:
     bad = "not known" if facts["bad_pixels"] is None else f"{facts['bad_pixels']:,}"
     table = {
         "sensor": f"{facts['width']} x {facts['height']} pixels",
+        **({} if facts["crop"] is None else {"crop": "from row {}, column {}".format(*facts["crop"])}),
         "frames": f"{facts['frames']:,} at {facts['readout_rate']:g} Hz = {milliseconds:.4g} ms",
         "rows stored": "bottom-up" if facts["stored_bottom_up"] else "top-down",
         "spikes": f"{facts['spikes']:,}, {facts['rate_mean']:.4g} per pixel and frame",

@@ -3,6 +3,7 @@
 `scsr_opt.camera` is imported when a recording is opened; its types stand in quotes, by their full names.
 """
 
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,6 +41,13 @@ Quiet = Annotated[
     bool, Parameter(name=["--quiet", "-q"], negative="", show_default=False, help="Print nothing but errors.")
 ]
 
+Overwrite = Annotated[
+    bool,
+    Parameter(
+        negative="", show_default=False, help="Replace files that are there already; without it they are refused."
+    ),
+]
+
 
 @Parameter(name="*", group=FILE_GROUP)
 @dataclass(frozen=True, kw_only=True)
@@ -74,15 +82,30 @@ class Reading:
     bad_pixels: Annotated[
         Path | None,
         Parameter(
-            help="A .npy file with a (height, width) mask, upright; pixels marked 1 are not used. Default: the file's."
+            help="A .npy file with a (height, width) mask of the whole sensor, upright; pixels marked 1 are not used. "
+            "Default: the file's."
+        ),
+    ] = None
+    crop: Annotated[
+        str | None,
+        Parameter(
+            allow_leading_hyphen=True,
+            help="TOP,LEFT,HEIGHT,WIDTH of the part of the sensor to use, in its pixels, such as 0,100,120,200; the "
+            "rest is as if it were not there. Default: all.",
         ),
     ] = None
 
     def open(self, file: Path) -> "scsr_opt.camera.Recording":
-        """Opens `file`. **Raises:** `InputError` if it cannot be read in this way."""
+        """Opens `file`, and crops it. **Raises:** `InputError` if it cannot be read in this way."""
+        recording, crop = self.whole(file)
+        return recording if crop is None else recording.crop(*crop)
+
+    def whole(self, file: Path) -> "tuple[scsr_opt.camera.Recording, tuple[int, int, int, int] | None]":
+        """Opens `file` as it is; with the crop, (top, left, height, width). **Raises:** as `open`."""
         from scsr_opt.camera import read_recording
 
-        return read_recording(
+        crop = None if self.crop is None else _rectangle(self.crop)
+        recording = read_recording(
             file,
             size=self.size,
             flip=self.flip,
@@ -92,6 +115,20 @@ class Reading:
             readout_rate=self.readout_rate,
             bad_pixels=self.bad_pixels,
         )
+        if crop is not None:
+            recording.crop(*crop)
+        return recording, crop
+
+
+def _rectangle(text: str) -> tuple[int, int, int, int]:
+    try:
+        top, left, height, width = (int(number) for number in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--crop is {text}, but it must be TOP,LEFT,HEIGHT,WIDTH, four whole numbers of sensor pixels, such as "
+            f"0,100,120,200."
+        ) from None
+    return top, left, height, width
 
 
 def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:
@@ -123,27 +160,37 @@ def progress(quiet: bool) -> Progress:
     return NoProgress() if quiet or not sys.stderr.isatty() else RichProgress()
 
 
-def check_outputs(inputs: list[Path], **outputs: Path | None) -> None:
+def check_outputs(inputs: list[Path], overwrite: bool, /, **outputs: Path | None) -> None:
     """Finds out before the work starts whether every output can be written.
 
     **Arguments:**
     - `inputs`: files that are read, which no output may replace.
+    - `overwrite`: whether outputs may replace other files.
     - `outputs`: option (`output`, `report`, …) → path, None where it was not given.
 
-    **Raises:** `InputError` if one cannot be written, would replace an input, or two are the same file.
+    **Raises:** `InputError` if one cannot be written, would replace an input or, if not told to, another file, or two
+    are the same file.
     """
-    seen: dict[Path, str] = {}
+    read = {os.path.realpath(source) for source in inputs}
+    seen: dict[str, str] = {}
     for name, path in outputs.items():
         if path is None:
             continue
         option = name.replace("_", "-")
         check_writable(path)
-        real = path.resolve()
-        if any(real == source.resolve() for source in inputs):
+        real = os.path.realpath(path)
+        if real in read:
             raise InputError(f"--{option} {path} is the file that is read: give the output another name.")
         if real in seen:
             raise InputError(f"--{option} and --{seen[real]} are both {path}: give them different names.")
         seen[real] = option
+        check_new(option, path, overwrite)
+
+
+def check_new(option: str, path: Path, overwrite: bool) -> None:
+    """**Raises:** `InputError` if there is a file `path` already, unless it may be overwritten."""
+    if path.exists() and not overwrite:
+        raise InputError(f"--{option} {path} is there already: give --overwrite to replace it, or another name.")
 
 
 def say_error(sentence: str) -> None:

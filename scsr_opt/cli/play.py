@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, moments, progress
+from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, moments, progress
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 
@@ -54,6 +54,7 @@ def play(
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
     reading: Reading | None = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Show a recording as a picture of one moment, or as a film.
@@ -78,7 +79,7 @@ def play(
             )
     if window is not None and method != "tfp":
         raise InputError(f"--window is for --method tfp, but the method is {method}: leave it out.")
-    check_outputs([file], output=target)
+    check_outputs([file], overwrite, output=target)
     recording = (reading or Reading()).open(file)
     player = _Player(recording, method, window)
     if is_film:

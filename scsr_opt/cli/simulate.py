@@ -1,5 +1,6 @@
 """`scsr simulate`: what a spike camera would record of a picture that moves."""
 
+import io
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from scsr_opt.cli.options import Quiet, Whole, check_outputs, progress
+from scsr_opt.cli.options import Overwrite, Quiet, Whole, check_outputs, progress
 from scsr_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -188,6 +189,7 @@ def simulate(
     ] = None,
     motion: Motion | None = None,
     camera: Camera | None = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Record a moving picture with a simulated spike camera.
@@ -197,6 +199,8 @@ def simulate(
     """
     motion, camera = motion or Motion(), camera or Camera()
     _check(images, motion, output, truth, true_velocity)
+    sources = [Path(name) for name in images if not name.startswith("sample:")]
+    check_outputs(sources, overwrite, output=output, truth=truth, true_velocity=true_velocity)
     if frames < 1:
         raise InputError(f"--frames is {frames}, but at least 1 is needed.")
     if scale < 1:
@@ -277,8 +281,6 @@ def _check(
         raise InputError(f"--true-velocity {true_velocity} must end in .npy.")
     if true_velocity is not None and motion.scene == "video":
         raise InputError("--true-velocity cannot be had for a video: nobody knows how the things in it moved.")
-    sources = [Path(name) for name in images if not name.startswith("sample:")]
-    check_outputs(sources, output=output, truth=truth, true_velocity=true_velocity)
 
 
 def _write_velocity(path: Path, velocity: Any) -> None:
@@ -286,5 +288,7 @@ def _write_velocity(path: Path, velocity: Any) -> None:
 
     from scsr_opt.report.files import whole_file
 
+    encoded = io.BytesIO()  # in a file np.save would add another ending to one in capitals
+    np.save(encoded, velocity.astype(np.float32))
     with whole_file(path) as temporary:
-        np.save(temporary, velocity.astype(np.float32))
+        temporary.write_bytes(encoded.getbuffer())

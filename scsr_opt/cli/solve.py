@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, Whole, check_outputs, key_frame, progress, say_failure
+from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, progress, say_failure
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
@@ -46,6 +46,7 @@ def solve(
     ] = False,
     solving: Solving | None = None,
     reading: Reading | None = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Solve for the super-resolved picture of one moment.
@@ -59,16 +60,16 @@ def solve(
     PictureFormat.of(output, bits=bits, gamma=gamma)
     _check_ending("report", report, (".json",))
     _check_ending("figure", figure, FIGURE_ENDINGS)
-    check_outputs([file], output=output, report=report, figure=figure)
+    check_outputs([file], overwrite, output=output, report=report, figure=figure)
     for name, value in (("scale", scale), ("frames", frames)):
         if value is not None and value < 1:
             raise InputError(f"--{name} is {value}, but it must be at least 1.")
     solving = solving or Solving()
     solving.check()
     started = time.perf_counter()
-    recording = (reading or Reading()).open(file)
+    recording, crop = (reading or Reading()).whole(file)
     moment = key_frame(recording, key)
-    choices = solving.arguments(recording, scale)
+    choices = solving.arguments(recording, scale, crop)
 
     from scsr_opt import reconstruct
     from scsr_opt.report.summary import Report

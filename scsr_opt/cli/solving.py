@@ -1,5 +1,6 @@
 """How `scsr solve` is to solve: options, and what they mean as arguments of `reconstruct`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -59,8 +60,9 @@ class Solving:
     gain: Annotated[
         str,
         Parameter(
-            help="Fixed pattern: FILE.npy with (height, width) gains, around 1; blind: from the recording itself, "
-            "where it moves and, as far as pictures tell, where it rests; auto: that, if a pattern is found; none."
+            help="Fixed pattern: FILE.npy with (height, width) gains, around 1, of the sensor or the crop; blind: from "
+            "the recording itself, where it moves and, as far as pictures tell, where it rests; auto: that, if a "
+            "pattern is found; none."
         ),
     ] = "auto"
     optics: Annotated[
@@ -125,24 +127,29 @@ class Solving:
 
             prior_strength(self.strength, "--strength")
 
-    def arguments(self, recording: "scsr_opt.camera.Recording", scale: int) -> dict[str, Any]:
-        """Those of `reconstruct`; what was not asked for is left to its defaults.
+    def arguments(
+        self, recording: "scsr_opt.camera.Recording", scale: int, crop: tuple[int, int, int, int] | None
+    ) -> dict[str, Any]:
+        """Those of `reconstruct`; what was not asked for is left to its defaults. `recording`: of the whole sensor.
 
         **Raises:** `InputError` for what does not go together, or with this recording.
         """
         from scsr_opt import Shortcuts
 
+        part = recording if crop is None else recording.crop(*crop)
+        shapes = sorted({(known.height, known.width) for known in (recording, part)}, reverse=True)
         given = {
-            "motion": motion_of(recording, self.motion),
+            "motion": motion_of((recording.height, recording.width), crop, self.motion),
             "samples": self._samples(recording),
             "robust": self._robust(),
-            "gain": self._gain(recording),
-            "optics": self._optics(recording, scale),
+            "gain": self._gain(shapes),
+            "optics": self._optics(part, scale),
             "prior": self._prior(scale),
             "strength": self.strength,
             "solver": self._solver(),
             "refine": self.refine or None,
             "shortcuts": None if self.skip else Shortcuts.none(),
+            "crop": crop,
         }
         return {name: value for name, value in given.items() if value is not None}
 
@@ -164,20 +171,20 @@ class Solving:
 
         return None if self.robust is None else {"huber": operators.Huber, "welsch": operators.Welsch}[self.robust]()
 
-    def _gain(self, recording: "scsr_opt.camera.Recording") -> Any:
+    def _gain(self, shapes: list[tuple[int, int]]) -> Any:
         if self.gain in ("auto", "blind"):
             return None if self.gain == "auto" else self.gain
         if self.gain == "none":
             import numpy as np
 
-            return np.ones((recording.height, recording.width), np.float32)
+            return np.ones(shapes[0], np.float32)
         if not self.gain.endswith(".npy"):
             raise InputError(f"--gain is {self.gain}, but it must be auto, blind, none or the name of a .npy file.")
-        gain, shape = load_npy("gain", self.gain), (recording.height, recording.width)
-        if gain.shape != shape or gain.dtype.kind not in "fiu" or not ((gain > 0) & (gain < inf)).all():
+        gain = load_npy("gain", self.gain)
+        if gain.shape not in shapes or gain.dtype.kind not in "fiu" or not ((gain > 0) & (gain < inf)).all():
             raise InputError(
-                f"--gain {self.gain} holds {gain.dtype} of shape {gain.shape}, but gains are {shape}, finite and "
-                f"above 0."
+                f"--gain {self.gain} holds {gain.dtype} of shape {gain.shape}, but gains are {_either(shapes)}, "
+                f"finite and above 0."
             )
         return gain
 
@@ -245,8 +252,11 @@ class Solving:
         return method() if self.iterations is None else method(iterations=self.iterations)
 
 
-def motion_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
+def motion_of(shape: tuple[int, int], crop: tuple[int, int, int, int] | None, motion: str) -> Any:
     """An estimator or a motion; None where `reconstruct` is to choose.
+
+    **Arguments:** `shape`: (h, w) of the sensor; `crop`: the part of it that is solved for, whose motion it is. A file
+    may hold the velocities of either.
 
     **Raises:** `InputError` if `motion` is none of what the option allows.
     """
@@ -254,6 +264,7 @@ def motion_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
 
     from scsr_opt import motion as known
     from scsr_opt.motion.validation import FASTEST
+    from scsr_opt.pipeline.options import cut_out
 
     named = {
         "none": known.Still,
@@ -267,15 +278,15 @@ def motion_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
         return None
     if motion in named:
         return named[motion]()
-    shape = (2, recording.height, recording.width)
+    fields = [(2, *shape), *([] if crop is None else [(2, *crop[2:])])]
     if motion.endswith(".npy"):
         field = load_npy("motion", motion)
-        if field.shape != shape or field.dtype.kind not in "fiu" or not (np.abs(field) <= FASTEST).all():
+        if field.shape not in fields or field.dtype.kind not in "fiu" or not (np.abs(field) <= FASTEST).all():
             raise InputError(
-                f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {shape}, finite, in "
-                f"sensor pixels per frame, of {FASTEST:g} at most either way."
+                f"--motion {motion} holds {field.dtype} of shape {field.shape}, but a velocity is {_either(fields)}, "
+                f"finite, in sensor pixels per frame, of {FASTEST:g} at most either way."
             )
-        return known.Motion.of_velocity(field.astype(np.float32))
+        return known.Motion.of_velocity(cut_out(field, shape, crop).astype(np.float32))
     down, _, right = motion.partition(",")
     try:
         velocity = np.array([float(down), float(right)])
@@ -289,7 +300,11 @@ def motion_of(recording: "scsr_opt.camera.Recording", motion: str) -> Any:
             f"--motion is {motion}, but DOWN,RIGHT must be two finite numbers of sensor pixels per frame, of "
             f"{FASTEST:g} at most either way."
         )
-    return known.Motion.constant(velocity, shape[1:])
+    return known.Motion.constant(velocity, shape if crop is None else crop[2:])
+
+
+def _either(shapes: Sequence[tuple[int, ...]]) -> str:
+    return " or, of the crop, ".join(str(shape) for shape in shapes)
 
 
 def load_npy(option: str, path: str) -> "np.ndarray":

@@ -17,7 +17,7 @@ def sentence(error: Exception) -> str:
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, MemoryError):
-        return "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."
+        return "there is not enough memory for this; take fewer --frames, a --crop of the sensor or a smaller --scale."
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}." if error.filename else f"{error.strerror}."
     return f"{type(error).__name__}: {error} (a fault of the program; SCSR_TRACEBACK=1 shows where)"

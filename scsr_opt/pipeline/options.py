@@ -1,6 +1,7 @@
 """How a picture is to be solved for: `Options`, one value that is checked once, and `Shortcuts`, the work left out."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from typing import Any, Literal, SupportsFloat, SupportsIndex
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, whole
+from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, rectangle, whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.errors import InputError
@@ -89,6 +90,9 @@ class Options:
       holds for the whole solve, corrections of exposures included; with `robust`, for each of up to eleven rounds.
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
     - `shortcuts`: the work that is left out where a scene does not need it.
+    - `crop`: (top, left, height, width) of the part of the sensor that is solved for, sensor pixels; all if None.
+      `bad_pixels` and `gain` may be those of the whole sensor or of the part; `motion`, `optics` and `state` are those
+      of the part.
     - `keep_images`: every stage keeps its pictures.
     """
 
@@ -105,6 +109,7 @@ class Options:
     solver: Solver | None = None
     refine: SupportsIndex = 0
     shortcuts: Shortcuts = field(default_factory=Shortcuts)
+    crop: Sequence[SupportsIndex] | None = None
     keep_images: bool = False
 
     @classmethod
@@ -128,7 +133,14 @@ class Options:
 
         **Raises:** `InputError` for what cannot be used.
         """
-        height, width = recording.height, recording.width
+        sensor, crop = (recording.height, recording.width), None if self.crop is None else rectangle(self.crop)
+        height, width = sensor
+        if crop is not None:
+            recording.crop(*crop)  # refuses a rectangle that reaches outside
+            height, width = crop[2:]
+        gain = self.gain
+        if not (self.finds_gain or gain is None):
+            gain = pixel_gain(cut_out(gain, sensor, crop), height, width)
         check_type(self.samples, SamplingRule, "samples", "Intervals()")
         check_type(self.prior, Prior, "prior", "HuberTotalVariation()")
         check_type(self.solver, Solver, "solver", "FISTA()")
@@ -151,7 +163,9 @@ class Options:
         return dataclasses.replace(
             self,
             samples=Intervals() if self.samples is None else self.samples,
-            gain=self.gain if self.finds_gain or self.gain is None else pixel_gain(self.gain, height, width),
+            bad_pixels=cut_out(self.bad_pixels, sensor, crop),
+            gain=gain,
+            crop=crop,
             prior=prior,
             strength=strength,
             refine=whole(self.refine, "refine", 0),
@@ -187,3 +201,15 @@ class Options:
     def samples_apart(self) -> bool:
         """Whether no samples are merged: with a robust loss, the mean of several would hide an outlier."""
         return self.robust is not None
+
+
+def cut_out(values: Any, sensor: tuple[int, int], crop: tuple[int, int, int, int] | None) -> Any:
+    """`values` for the pixels of `crop`: cut out where they are given for each pixel of the sensor, (…, h, w)."""
+    try:
+        array = np.asanyarray(values)
+    except (TypeError, ValueError, RuntimeError):
+        return values  # refused by the check of what it is for
+    if crop is None or array.shape[-2:] != sensor:
+        return values
+    top, left, height, width = crop
+    return array[..., top : top + height, left : left + width]

@@ -98,11 +98,10 @@ def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIn
     """The clip around a key frame with its validated options. **Raises:** `InputError` for what cannot be used."""
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
-    picture_shape(recording, scale)  # refuses pictures that do not fit into memory
     options = options.validated(recording, scale)
-    clip = Clip.around(
-        recording, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels
-    )
+    part = recording if options.crop is None else recording.crop(*options.crop)
+    picture_shape(part, scale)  # refuses pictures that do not fit into memory
+    clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels)
     return Task(recording, scale, options, clip)
 
 
@@ -152,5 +151,5 @@ def solve(assembly: Assembly, state: Any = None, progress: Progress | None = Non
 def _solution(assembly: Assembly, **found: Any) -> Solution:
     task = assembly.task
     known = {"recording": task.recording, "scale": task.scale, "key": task.clip.key_frame}
-    known |= {"white_rate": task.clip.white_rate, "motion": assembly.motion, "scene": assembly.scene}
-    return Solution(**known, gain=assembly.gain, **found)
+    known |= {"white_rate": task.clip.white_rate, "crop": task.options.crop}
+    return Solution(**known, motion=assembly.motion, gain=assembly.gain, scene=assembly.scene, **found)

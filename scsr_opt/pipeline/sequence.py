@@ -73,13 +73,14 @@ def reconstruct_sequence(
     **Arguments:**
     - `spikes`, `scale`, `options`, `changes`, `progress`: as of `reconstruct`; `motion` must be None or an
       `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
-    - `keys`: frames, best in order and a few frames apart.
+    - `keys`: frames, best in order and a few frames apart; one may come again.
 
     **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity, 1 = white. Where
     `.diagnostics.motion_carried` is true, `.motion` is that of a picture before, carried on: not always what would be
     estimated there.
 
-    **Raises:** `InputError` as `reconstruct`, and for `key` and `state`, which are found picture by picture.
+    **Raises:** `InputError` as `reconstruct`, for `key` and `state`, which are found picture by picture, and, when it
+    is called, for keys that are no frames of the recording.
     """
     for name in ("key", "state"):
         if name in changes:
@@ -89,10 +90,18 @@ def reconstruct_sequence(
         raise InputError(
             "reconstruct_sequence was given a Motion, which holds at one key frame; give an Estimator, or nothing."
         )
-    if isinstance(keys, str) or not isinstance(keys, Iterable):
-        raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    return _pictures(recording, tuple(keys), whole(scale, "scale", 1), asked, progress)
+    frames, scale = _frames(keys, recording), whole(scale, "scale", 1)
+    asked.validated(recording, scale)  # refuses what cannot be used now, not with the first picture
+    return _pictures(recording, frames, scale, asked, progress)
+
+
+def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
+    """The key frames as ints. **Raises:** `InputError` if one is no frame of the recording, or there is none."""
+    frames = None if isinstance(keys, str | bytes) or not isinstance(keys, Iterable) else tuple(keys)
+    if not frames:
+        raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
+    return tuple(whole(key, f"keys[{number}]", 0, recording.frames - 1) for number, key in enumerate(frames))
 
 
 class _Followed(NamedTuple):
@@ -125,7 +134,7 @@ class _Moment(NamedTuple):
 
 def _pictures(
     recording: Recording,
-    keys: tuple[SupportsIndex, ...],
+    keys: tuple[int, ...],
     scale: int,
     options: Options,
     progress: Progress | None,

@@ -60,6 +60,7 @@ class Solution:
     - `image`: (H, W) float32, intensity, 1 = white, linear.
     - `recording` it is of, the `scale` s and the `key` frame (of the recording) it was solved for, and the `white_rate`
       (spikes per frame of intensity 1) that was used.
+    - `crop`: (top, left, height, width) of the part of the sensor that was solved for; None for all of it.
     - `status`: how it ended. `stages`: one record per iteration. `diagnostics`: numbers by name.
     - `motion`: the motion that was used; None where there was none to use.
     - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
@@ -74,6 +75,7 @@ class Solution:
     key: int
     white_rate: float
     status: Status
+    crop: tuple[int, int, int, int] | None = None
     stages: tuple[Stage, ...] = field(default=(), repr=False)
     diagnostics: Diagnostics = Diagnostics()
     motion: Motion | None = field(default=None, repr=False)
@@ -81,6 +83,11 @@ class Solution:
     scene: SceneSummary | None = field(default=None, repr=False)
     tiles: TileIterations | None = field(default=None, repr=False)
     state: Any = field(default=None, repr=False)
+
+    @property
+    def part(self) -> Recording:
+        """The recording of the part of the sensor that was solved for."""
+        return self.recording if self.crop is None else self.recording.crop(*self.crop)
 
     @property
     def velocity(self) -> Float[np.ndarray, "2 h w"] | None:
@@ -115,5 +122,6 @@ class Solution:
         if not self.status.usable:
             raise InputError(f"{path} was not written, as the solve failed: {self.status.clause}.")
         extras = {"velocity": self.velocity, "confidence": self.confidence, "scale": self.scale, "key": self.key}
+        extras["crop"] = self.crop
         known = {name: value for name, value in extras.items() if value is not None}
         write_picture(path, self.image, bits=bits, gamma=gamma, extras=known)

@@ -75,7 +75,7 @@ def figure(
     """
     from scsr_opt.camera import tfp
 
-    source, scale = solution.recording, solution.scale
+    source, scale = solution.part, solution.scale
     start, stop = source.around(solution.key, window)
     window = min(window, stop - start)
     frames = source.window(start, stop)
@@ -121,7 +121,10 @@ def compare(
     with matplotlib.rc_context(_STYLE):
         drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
         if title:
-            drawn.text(_MARGIN / page, 1 - _MARGIN / end, title, va="top", fontsize=13, fontweight="bold")
+            drawn.text(
+                _MARGIN / page, 1 - _MARGIN / end, _as_text(title), va="top", fontsize=13, fontweight="bold",
+                parse_math=False,
+            )  # fmt: skip
         for number, (name, image) in enumerate(pictures.items()):
             x = _MARGIN + number * (column + _GUTTER)
             whole = _axes(drawn, x, first, across, across * height / width)
@@ -180,7 +183,8 @@ def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
             if (colour := _OF_KIND[kind]) is not None:
                 colours[scene.kind == kind] = to_rgba(colour, 0.35)
         _tiled(axes, solution.image, colours, scene.tile * solution.scale)
-        axes.set_title(title or "What each tile is", loc="left", fontsize=10)
+        named = _as_text(title or "What each tile is")
+        axes.set_title(named, loc="left", fontsize=10, parse_math=False)
         if tiles is not None:
             x = _MARGIN + column + _GUTTER
             beside = _axes(drawn, x, top, across, tall)
@@ -251,6 +255,11 @@ def detailed_part(
     ]
     top, left = np.unravel_index(int(np.argmax(starts)), starts.shape)
     return (int(top) + edge, int(left) + edge, tall, wide)
+
+
+def _as_text(title: str) -> str:
+    """A title in one line: names of files, of which it is made, may hold line breaks and bytes that are no text."""
+    return " ".join(title.split()).encode("utf-8", "backslashreplace").decode()
 
 
 def _white_level(pictures: Any) -> float:

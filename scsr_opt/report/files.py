@@ -1,58 +1,107 @@
-"""Output files that are either whole or not there."""
+"""Output files that are either whole or not there.
+
+What stands in the way of a file is found before the work whose outcome it is to hold (`check_writable`); what comes up
+only while it is written, such as a full disk, is said with the file's name and leaves what was there before.
+"""
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 from scsr_opt.errors import InputError
+
+Item = TypeVar("Item")
 
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary name beside `path` with the same ending; what is written there becomes `path` if all goes well.
+    """A temporary name, absolute and with the ending of `path`; what is written there becomes `path` if all goes well.
 
     Readers see the old file or the new one, never half of one. When the block raises, the old file stays and the
-    temporary one is removed.
+    temporary one is removed. A symbolic link stays one: the file that it leads to is replaced.
+
+    The block should do nothing but write: any `OSError` in it is taken for one about this file, but for those of items
+    that come through `read_meanwhile`.
 
     **Raises:** `InputError` if a file cannot be written there.
     """
-    target = Path(path)
-    # The ending stays last, because writers choose the format by it.
-    temporary = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+    target = _target(path)
+    temporary = _beside(target, Path(path).suffix)
     try:
-        # Made here rather than by `tempfile`, whose files only their owner may read.
-        temporary.touch(exist_ok=False)
-    except OSError as error:
-        raise InputError(f"Cannot write {target}: {_reason(error)}.") from error
-    try:
-        yield temporary
         try:
+            # Made here rather than by `tempfile`, whose files only their owner may read.
+            temporary.touch(exist_ok=False)
+            yield temporary
             os.replace(temporary, target)
-        except OSError as error:
-            raise InputError(f"Cannot write {target}: {_reason(error)}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except _ReadingFailed as failed:
+        raise failed.error from failed.error.__cause__
+    except OSError as error:
+        raise InputError(f"Cannot write {path}: {_reason(error)}.") from error
+
+
+def read_meanwhile(items: Iterable[Item]) -> Iterator[Item]:
+    """The items, read or made while a `whole_file` is written; their `OSError` comes out of it as it is."""
+    try:
+        yield from items
+    except OSError as error:
+        raise _ReadingFailed(error) from error
+
+
+class _ReadingFailed(Exception):
+    def __init__(self, error: OSError):
+        super().__init__(str(error))
+        self.error = error
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Finds out before the long work starts whether `path` can be written after it.
 
-    **Raises:** `InputError` if its folder is missing or does not take files, or `path` is a folder.
+    **Raises:** `InputError` if its folder is missing or does not take files, the file system does not take its name, or
+    there is something else than a file.
     """
-    target = Path(path)
-    if target.is_dir():
-        raise InputError(f"Cannot write {target}: it is a folder; name a file in it.")
-    if not target.parent.is_dir():
-        raise InputError(f"Cannot write {target}: the folder {target.parent} does not exist; make it first.")
+    target = _target(path)
     # Only trying tells: permissions say nothing of a disk mounted read-only.
-    trial = target.with_name(f".{target.stem[:100]}.{secrets.token_hex(4)}.trial")
+    trial = _beside(target, Path(path).suffix)
     try:
         trial.touch(exist_ok=False)
         trial.unlink()
     except OSError as error:
-        raise InputError(f"Cannot write {target}: {_reason(error)}.") from error
+        raise InputError(f"Cannot write {path}: {_reason(error)}.") from error
+
+
+def _target(path: str | os.PathLike[str]) -> Path:
+    """The absolute path of the file that is to be there at last: `path`, or what it leads to as a symbolic link."""
+    try:
+        target = Path(os.path.realpath(path))
+        os.lstat(target)
+    except FileNotFoundError:
+        pass
+    except ValueError as error:  # a null character
+        raise InputError(f"Cannot write {os.fspath(path)!r}: {error}; choose another name.") from error
+    except OSError as error:
+        raise InputError(f"Cannot write {path}: {_reason(error)}.") from error
+    else:
+        if target.is_symlink():  # `realpath` has not come to its end
+            raise InputError(f"Cannot write {path}: it is a symbolic link that leads to itself; remove it first.")
+        if target.is_dir():
+            raise InputError(f"Cannot write {path}: it is a folder; name a file in it.")
+        if not target.is_file():
+            raise InputError(f"Cannot write {path}: it is a device or a pipe; name a file.")
+    for folder in (Path(path).parent, target.parent):  # of the link, and of what it leads to
+        if not folder.is_dir():
+            raise InputError(f"Cannot write {path}: the folder {folder} does not exist; make it first.")
+    return target
+
+
+def _beside(target: Path, ending: str) -> Path:
+    """A new name in the same folder, for the moment. The ending stays last, as writers choose the format by it."""
+    # Nothing else of the target's name is in it: that may be as long as names can be, or mean something to a writer.
+    return target.with_name(f".scsr-{secrets.token_hex(4)}{ending}")
 
 
 def _reason(error: OSError) -> str:

@@ -5,9 +5,12 @@ can be measured; viewers take PNG for gamma-encoded and show it darker than the 
 looking at.
 """
 
+import io
 import os
+import re
 import shutil
 import subprocess
+import warnings
 import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -17,9 +20,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
+from numpy.typing import ArrayLike
 
 from scsr_opt.errors import InputError
-from scsr_opt.report.files import whole_file
+from scsr_opt.report.files import read_meanwhile, whole_file
 
 PICTURE_BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".npz": (32,)}
 """Endings of still pictures with the bits per pixel that each can have, the default first; 32 is floating point."""
@@ -28,6 +32,8 @@ FILM_ENDINGS = (".gif", ".mp4")
 _GAMMAS = (0.1, 10)
 # Pictures per second; a GIF shows one for 655 seconds at most.
 _RATES = (0.01, 1000)
+# Pixels along a side of a GIF: it has two bytes for them.
+_GIF_SIDE = 65535
 
 
 @dataclass(frozen=True)
@@ -82,9 +88,12 @@ def quantise(
 ) -> UInt8[np.ndarray, "H W"] | UInt16[np.ndarray, "H W"]:
     """Linear intensity as whole numbers: 0 is black, 2^bits − 1 is intensity 1; what lies outside [0, 1] is clipped.
 
-    **Raises:** `InputError` if a value is not finite.
+    **Raises:** `InputError` if it is no picture, or a value is not finite.
     """
-    linear = _finite(image)
+    return _quantised(_checked(image), bits, gamma)
+
+
+def _quantised(linear: Float[np.ndarray, "H W"], bits: int, gamma: float) -> np.ndarray:
     white = 2**bits - 1
     stored = np.clip(linear, 0.0, 1.0) ** (1.0 / gamma) * white
     return np.rint(stored).astype(np.uint8 if bits == 8 else np.uint16)
@@ -92,13 +101,14 @@ def quantise(
 
 def write_picture(
     path: str | os.PathLike[str],
-    image: Num[Any, "H W"],
+    image: ArrayLike,
     *,
     bits: int | None = None,
     gamma: float = 1.0,
     extras: dict[str, Any] | None = None,
 ) -> PictureFormat:
-    """Writes a picture in the format that the ending of `path` names; a file of that name is replaced at the end.
+    """Writes a picture in the format that the ending of `path` names; a file of that name is replaced, as by
+    `numpy.save`, once the new one is whole.
 
     **Arguments:**
     - `image`: (H, W), linear intensity, 1 = white.
@@ -107,22 +117,26 @@ def write_picture(
 
     **Returns:** the format that was written.
 
-    **Raises:** `InputError` if the format is not possible, a value is not finite, or the file cannot be written.
+    **Raises:** `InputError` if the format is not possible, `image` is no picture (of other than two dimensions, empty,
+    complex, whole numbers beyond 1), a value is not finite, or the file cannot be written.
     """
     chosen = PictureFormat.of(path, bits=bits, gamma=gamma)
-    linear = _finite(image)
-    stored = linear if chosen.bits == 32 else quantise(linear, bits=chosen.bits, gamma=gamma)
+    linear = _checked(image)
+    stored = linear if chosen.bits == 32 else _quantised(linear, chosen.bits, gamma)
+    # In memory first: on a full disk some libraries say something else than that, or go by the name for the format.
+    encoded = io.BytesIO()
+    if chosen.ending == ".npz":
+        np.savez_compressed(encoded, image=stored, **(extras or {}))
+    elif chosen.ending == ".png":
+        from PIL import Image
+
+        Image.fromarray(stored).save(encoded, format="PNG")
+    else:
+        import tifffile
+
+        tifffile.imwrite(encoded, stored, photometric="minisblack")
     with whole_file(path) as temporary:
-        if chosen.ending == ".npz":
-            np.savez_compressed(temporary, image=stored, **(extras or {}))
-        elif chosen.ending == ".png":
-            from PIL import Image
-
-            Image.fromarray(stored).save(temporary, format="PNG")
-        else:
-            import tifffile
-
-            tifffile.imwrite(temporary, stored, photometric="minisblack")
+        temporary.write_bytes(encoded.getbuffer())
     return chosen
 
 
@@ -192,83 +206,123 @@ def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float
 
 def write_film(
     path: str | os.PathLike[str],
-    frames: Iterable[Num[Any, "H W"]],
+    frames: Iterable[ArrayLike],
     *,
     rate: float = 25.0,
     gamma: float = 1.0,
 ) -> int:
     """Writes pictures as a film; they are taken one at a time, so a long film needs no more memory than a short one.
 
+    The film has as many pictures as were handed in, equal ones too. A file of that name is replaced, as by
+    `numpy.save`, once the new one is whole.
+
     **Arguments:**
-    - `path`: ends in `.gif` or `.mp4`. MP4 needs the program `ffmpeg`.
+    - `path`: ends in `.gif` or `.mp4`. MP4 needs the program `ffmpeg`, and even sides: an odd one gets a black row or
+      column more, which a warning says.
     - `frames`: pictures (H, W), linear intensity, all of one size.
     - `rate`: pictures per second. A GIF counts in hundredths of a second, so it comes out at the nearest such rate.
     - `gamma`: as in `PictureFormat`.
 
     **Returns:** the number of pictures.
 
-    **Raises:** `InputError` as `check_film`, if there is no frame, or the file cannot be written.
+    **Raises:** `InputError` as `check_film`, if there is no frame, one is no picture (as of `write_picture`) or of
+    another size than the first, or the file cannot be written. No file is written then.
     """
     check_film(path, rate=rate, gamma=gamma)
-    counter = _Counter(quantise(frame, gamma=gamma) for frame in frames)
-    first = next(counter, None)
-    if first is None:
-        raise InputError("A film needs at least one picture, but there is none.")
-    everything = chain([first], counter)
+    pictures = _Pictures(read_meanwhile(frames), gamma)
     with whole_file(path) as temporary:
+        first = next(pictures, None)
+        if first is None:
+            raise InputError("A film needs at least one picture, but there is none.")
+        everything = chain([first], pictures)
         if temporary.suffix.lower() == ".gif":
             _write_gif(temporary, everything, rate)
         else:
-            _write_mp4(temporary, everything, first.shape, rate)
-    return counter.count
+            tall, wide = (side + side % 2 for side in first.shape)
+            if (tall, wide) != first.shape:
+                warnings.warn(
+                    f"{path}: the film is {wide}x{tall}, for pictures of {first.shape[1]}x{first.shape[0]}: an MP4 has "
+                    f"even sides, so it has black pixels more at the right or the bottom; a .gif keeps the size.",
+                    stacklevel=2,
+                )
+            _write_mp4(temporary, everything, first.shape, (tall, wide), rate)
+    return pictures.count
 
 
-class _Counter:
-    """An iterator that knows how many it has handed out."""
+class _Pictures:
+    """Iterator over the pictures of a film, checked and in 8 bits, that knows how many it has handed out."""
 
-    def __init__(self, items: Iterator[np.ndarray]):
-        self._items = items
+    def __init__(self, frames: Iterator[Any], gamma: float):
+        self._frames, self._gamma = frames, gamma
+        self._shape: tuple[int, ...] | None = None
         self.count = 0
 
-    def __iter__(self) -> "_Counter":
+    def __iter__(self) -> "_Pictures":
         return self
 
     def __next__(self) -> np.ndarray:
-        item = next(self._items)
+        linear = _checked(next(self._frames), f"Picture {self.count + 1} of the film")
+        if self._shape is None:
+            self._shape = linear.shape
+        elif linear.shape != self._shape:
+            (tall, wide), (first_tall, first_wide) = linear.shape, self._shape
+            raise InputError(
+                f"Picture {self.count + 1} of the film is {wide}x{tall}, but the first is {first_wide}x{first_tall}: "
+                f"bring all to one size."
+            )
         self.count += 1
-        return item
+        return _quantised(linear, 8, self._gamma)
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], rate: float) -> None:
-    from PIL import Image
+    from PIL import GifImagePlugin, Image
 
-    pictures = (Image.fromarray(frame) for frame in frames)
     milliseconds = max(round(100.0 / rate), 1) * 10
-    next(pictures).save(
-        path, format="GIF", save_all=True, append_images=pictures, duration=milliseconds, loop=0, optimize=False
-    )
+    with path.open("wb") as stream:
+        # Picture by picture: `Image.save` would hold all of them, and make one of those that are equal.
+        for number, frame in enumerate(frames):
+            picture = Image.fromarray(frame)
+            if number == 0:
+                if max(picture.size) > _GIF_SIDE:
+                    raise InputError(
+                        f"The pictures are {picture.width}x{picture.height}, but a GIF has at most {_GIF_SIDE} pixels "
+                        f"along a side: make them smaller."
+                    )
+                header, _ = GifImagePlugin.getheader(picture, info={"loop": 0, "duration": milliseconds})
+                stream.writelines(header)
+            stream.writelines(GifImagePlugin.getdata(picture, duration=milliseconds))
+        stream.write(b";")
 
 
-def _write_mp4(path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], rate: float) -> None:
+def _write_mp4(
+    path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], padded: tuple[int, int], rate: float
+) -> None:
+    """**Arguments:** `path`: absolute, as ffmpeg takes what stands before a colon for a protocol.
+
+    **Raises:** `OSError` with what ffmpeg says if it fails.
+    """
     command = [_encoder(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "gray"]
     command += ["-video_size", f"{shape[1]}x{shape[0]}", "-framerate", f"{rate:g}", "-i", "-"]
     # Players want whole pairs of pixels and 4:2:0 colour, grey or not.
-    command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", str(path)]
+    command += ["-vf", f"pad={padded[1]}:{padded[0]}", "-pix_fmt", "yuv420p", str(path)]
     encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert encoder.stdin is not None and encoder.stderr is not None
+    given_up = False
     try:
         for frame in frames:
             encoder.stdin.write(frame.tobytes())
+        encoder.stdin.flush()
     except BrokenPipeError:
-        pass  # the encoder has given up; its message follows
+        given_up = True  # its message follows
     except BaseException:
         encoder.kill()
         encoder.communicate()
         raise
     _, message = encoder.communicate()
-    if encoder.returncode != 0:
-        lines = message.decode(errors="replace").strip().splitlines()
-        raise InputError(f"ffmpeg could not write the film: {lines[-1] if lines else 'it gave no reason'}.")
+    if encoder.returncode != 0 or given_up:
+        lines = message.decode(errors="replace").replace(f"{path}: ", "").strip().splitlines()
+        why = "saying " + re.sub(r"^\[.*?\] ", "", lines[-1]) if lines else "without a reason"  # [where in ffmpeg]
+        raise OSError(f"ffmpeg failed, {why.rstrip('.')}")
 
 
 def _encoder() -> str:
@@ -278,8 +332,22 @@ def _encoder() -> str:
     return found
 
 
-def _finite(image: Any) -> Float[np.ndarray, "H W"]:
-    linear = np.asarray(image, dtype=np.float32)
+def _checked(image: Any, what: str = "The picture") -> Float[np.ndarray, "H W"]:
+    """`image` as float32. **Raises:** `InputError`, in which `what` names it, if it is no picture of intensities."""
+    try:
+        array = np.asarray(image)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{what} is no array of numbers ({error}); a picture is (rows, columns).") from error
+    if array.ndim != 2 or 0 in array.shape:
+        raise InputError(f"{what} has shape {array.shape}, but a picture is (rows, columns), with one pixel at least.")
+    if array.dtype.kind in "cOSUmM" or array.dtype.names:
+        raise InputError(f"{what} holds values of type {array.dtype}, but a picture holds real numbers, 1 = white.")
+    if array.dtype.kind in "iu" and (array.max() > 1 or array.min() < 0):
+        raise InputError(
+            f"{what} holds whole numbers from {array.min()} to {array.max()}, but intensity is 0 for black and 1 for "
+            f"white: divide by what stands for white, as in image / 255."
+        )
+    linear = array.astype(np.float32)
     wrong = int(np.count_nonzero(~np.isfinite(linear)))
     if wrong:
         raise InputError(f"{wrong} of the picture's {linear.size} values are not finite, so it is not written.")

@@ -29,7 +29,8 @@ class Report:
     **Fields** (all of them plain: str, int, float, bool, None, and lists and dictionaries of these):
     - `recording`: name, frames, width, height, readout_rate (Hz), white_rate (spikes per frame of white), bad_pixels
       (how many).
-    - `picture`: width, height, scale, key, and the least, mean and greatest intensity (1 = white).
+    - `picture`: width, height, scale, key, crop (top, left, height, width of the part of the sensor that it shows; None
+      for all of it), and the least, mean and greatest intensity (1 = white).
     - `status`: name, message, usable.
     - `motion`: mean and greatest speed, sensor pixels per frame; None where no motion was used.
     - `diagnostics`: the numbers of `Diagnostics`. `scene`, `tiles`: numbers of the scene's summary and of the tiles'
@@ -83,6 +84,7 @@ class Report:
                 "height": image.shape[0],
                 "scale": solution.scale,
                 "key": solution.key,
+                "crop": plain(solution.crop),
                 "minimum": plain(image.min()),
                 "mean": plain(image.mean(dtype=np.float64)),
                 "maximum": plain(image.max()),
@@ -104,9 +106,13 @@ class Report:
     def lines(self) -> list[str]:
         """The report for a reader: what was made of what, how it ended, how long it took."""
         seen, made = self.recording, self.picture
+        part = ""
+        if made["crop"] is not None:
+            top, left, height, width = made["crop"]
+            part = f", {width}x{height} of them from row {top}, column {left}"
         lines = [
-            f"{seen['name']}: {seen['frames']} frames of {seen['width']}x{seen['height']}, key frame {made['key']} "
-            f"-> {made['width']}x{made['height']} (x{made['scale']})"
+            f"{seen['name']}: {seen['frames']} frames of {seen['width']}x{seen['height']}{part}, key frame "
+            f"{made['key']} -> {made['width']}x{made['height']} (x{made['scale']})"
         ]
         if self.motion is not None:
             lines.append(
@@ -125,9 +131,14 @@ class Report:
         return json.dumps(dataclasses.asdict(self), indent=1, allow_nan=False, ensure_ascii=False)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the JSON. **Raises:** `InputError` if the file cannot be written."""
+        """Writes the JSON; a file of that name is replaced, as by `numpy.save`.
+
+        **Raises:** `InputError` if the file cannot be written.
+        """
+        # Names of files may hold bytes that are no text; in JSON they are escapes, as backslashreplace writes them.
+        encoded = (self.json() + "\n").encode("utf-8", "backslashreplace")
         with whole_file(path) as temporary:
-            temporary.write_text(self.json() + "\n", encoding="utf-8")
+            temporary.write_bytes(encoded)
 
 
 def versions() -> dict[str, str]:

@@ -128,8 +128,8 @@ MISTAKES = {
     ),
     "write: ending": (lambda f: write_recording(f / "r.mp4", SPIKES), r"ends in '\.mp4', .*choose one of \.dat, "),
     "write: flip elsewhere": (lambda f: write_recording(f / "r.npz", SPIKES, flip=True), r"only flat \.dat files have"),
-    "write: folder": (lambda f: write_recording(_dir(f / "r.npz"), SPIKES), r"cannot be written, it is a folder"),
-    "write: no folder": (lambda f: write_recording(f / "no" / "r.npz", SPIKES), r"in a folder that does not exist"),
+    "write: folder": (lambda f: write_recording(_dir(f / "r.npz"), SPIKES), r"it is a folder; name a file in it"),
+    "write: no folder": (lambda f: write_recording(f / "no" / "r.npz", SPIKES), r"folder .*no does not exist; make it"),
     "write: row_bits": (lambda f: write_recording(f / "r.dat", SPIKES, row_bits=6), r"row_bits=6 is less than the 7"),
     "write: name": (
         lambda f: write_recording(f / "r_400x250.dat", SPIKES),

@@ -91,7 +91,10 @@ def test_interrupting_says_so(scsr, monkeypatch, file):
 @pytest.mark.parametrize(
     ("error", "sentence"),
     [
-        (MemoryError(), "there is not enough memory for this; take fewer frames (--frames) or a smaller --scale."),
+        (
+            MemoryError(),
+            "there is not enough memory for this; take fewer --frames, a --crop of the sensor or a smaller --scale.",
+        ),
         (OSError(28, "No space left on device", "x.npz"), "x.npz: No space left on device."),
         (OSError(5, "Input/output error"), "Input/output error."),
         (InputError("strength is\n-1"), "strength is -1"),

@@ -63,7 +63,7 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
     assert [row["name"] for row in told["models"]] == ["fista-huber", net]
 
     (here / "seen" / "stages.txt").write_text("the old one")
-    assert scsr("compare", file, "--models", net, "--scale", "2", "-o", "seen", "-q") == ""
+    assert scsr("compare", file, "--models", net, "--scale", "2", "-o", "seen", "-q", "--overwrite") == ""
     assert "plain.scsr: 1 stage" in (here / "seen" / "stages.txt").read_text()
     assert asked[1]["truth"] is None and asked[1]["key"] == 15 and asked[1]["costs"] is True
 

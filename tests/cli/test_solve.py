@@ -141,7 +141,8 @@ def test_a_failed_solve_writes_no_picture(scsr, here, monkeypatch, file):
 
     monkeypatch.setattr(scsr_opt, "reconstruct", fail, raising=False)
     (here / "a.png").write_text("the old one")
-    said = scsr("solve", file, "-o", "a.png", "--report", "a.json", "--figure", "f.png", code=1)
+    given = ("-o", "a.png", "--report", "a.json", "--figure", "f.png", "--overwrite")
+    said = scsr("solve", file, *given, code=1)
     assert said == f"scsr: error: No picture was written: t{Status.no_samples.message[1:]}\n"
     assert sorted(os.listdir(here)) == ["a.json", "a.png", "ramp.npz"] and (here / "a.png").read_text() == "the old one"
     assert json.loads((here / "a.json").read_text())["status"]["name"] == "no_samples"

@@ -80,7 +80,7 @@ def test_choices_are_passed_on(scsr, file, asked, options, name, value):
 
 def test_the_learned_prior(scsr, file, asked):
     scsr("solve", file, "-o", "a.png", "--prior", "ridge")
-    scsr("solve", file, "-o", "a.png", "--scale", "2", "--bounds", "0,1")
+    scsr("solve", file, "-o", "b.png", "--scale", "2", "--bounds", "0,1")
     assert isinstance(asked[0]["prior"], priors.RidgeRegulariser)
     assert isinstance(asked[1]["prior"], priors.Bounded) and isinstance(
         asked[1]["prior"].prior, priors.RidgeRegulariser

@@ -170,6 +170,8 @@ def test_small_sensors_before_which_something_moves(shape):
     ("change", "message"),
     [
         ({"scale": 0}, "scale is 0; it must be a whole number, at least 1."),
+        ({"scale": True}, "scale is True; it must be a whole number, at least 1."),
+        ({"key": False}, "key is False; it must be a whole number, from 0 to 30."),
         ({"key": 31}, "key is 31; it must be a whole number, from 0 to 30."),
         ({"frames": 0}, "frames is 0; it must be a whole number, at least 1."),
         ({"white_rate": 0}, "white_rate is 0, but it must be a number from 1e-06 to 1000, in spikes per frame"),

@@ -15,7 +15,7 @@ from scsr_opt.motion import Global, Motion
 from scsr_opt.pipeline.assembly import assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.reconstruct import task_of
-from scsr_opt.pipeline.sequence import _where_seen
+from scsr_opt.pipeline.sequence import _frames, _where_seen
 from scsr_opt.pipeline.strength import StrengthSearch
 
 PICTURE = data.camera()[90:250, 150:310]
@@ -119,13 +119,52 @@ def test_reconstruct_sequence_options_hold_for_all_pictures():
     assert second.velocity is not None and np.ptp(second.velocity, axis=(1, 2)).max() == 0
 
 
-def test_what_is_wrong_with_a_key_is_said_in_its_turn():
-    """The next picture is prepared while one is solved for; that one is handed out all the same."""
-    made = simulated(Static(PICTURE), 61)
-    following = reconstruct_sequence(made.spikes, (30, 61), scale=SCALE, frames=31)
-    assert next(following).status.usable
-    with pytest.raises(InputError, match="key is 61"):
-        next(following)
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ([5, 61], r"keys\[1\] is 61; it must be a whole number, from 0 to 60"),
+        ([50, 500], r"keys\[1\] is 500"),
+        ([500], r"keys\[0\] is 500"),
+        (range(0, 101, 50), r"keys\[2\] is 100"),
+        (range(60, -31, -30), r"keys\[3\] is -30"),
+        (np.array([3, -1]), r"keys\[1\] is np.int64\(-1\)"),
+        ([True, False], r"keys\[0\] is True"),
+        ([], r"keys is \[\]; it must be the frames of the pictures"),
+        (range(50, 20, 5), r"keys is range\(50, 20, 5\); it must be the frames"),
+    ],
+)
+def test_sequence_with_keys_that_are_no_frames_is_refused_by_the_call(monkeypatch, keys, message):
+    """Before the first picture is asked for, and before anything is done for it."""
+    monkeypatch.setattr("scsr_opt.pipeline.sequence.task_of", None)
+    with pytest.raises(InputError, match=message):
+        reconstruct_sequence(np.ones((61, 8, 8), np.uint8), keys, scale=SCALE)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ([3, 4.0], r"keys\[1\] is 4.0; it must be a whole number, from 0 to 60"),
+        (np.linspace(0, 60, 3), r"keys\[0\] is np.float64\(0.0\)"),
+        (np.array([True, False]), r"keys\[0\] is np.True_"),
+        ([3, None], r"keys\[1\] is None"),
+        (["3"], r"keys\[0\] is '3'"),
+        (np.array([[3, 4]]), r"keys\[0\] is array"),
+        (iter(()), "it must be the frames of the pictures"),
+        ("50", "keys is '50'; it must be the frames"),
+        (b"50", "keys is b'50'; it must be the frames"),
+        (50, "keys is 50; it must be the frames"),
+        (None, "keys is None; it must be the frames"),
+    ],
+)
+def test_frames_of_another_type_are_refused(keys, message):
+    with pytest.raises(InputError, match=message):
+        _frames(keys, Recording.from_array(np.ones((61, 8, 8), np.uint8)))
+
+
+@pytest.mark.parametrize("keys", [[3, 3], (5, 3), np.array([3, 4]), {3: 1, 4: 1}, (key for key in (3, 4)), range(3, 5)])
+def test_frames_in_any_order_and_container_are_taken(keys):
+    found = _frames(keys, Recording.from_array(np.ones((20, 8, 8), np.uint8)))
+    assert found in ((3, 3), (5, 3), (3, 4)) and {type(key) for key in found} == {int}
 
 
 def test_a_sequence_that_nobody_wants_any_more_ends():

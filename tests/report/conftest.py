@@ -1,3 +1,6 @@
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -41,3 +44,24 @@ def solution(scene, spikes) -> Solution:
         diagnostics=Diagnostics(iterations=12, strength=0.25, objective=np.nan, motion_carried=True),
         motion=Motion.of_velocity(velocity),
     )
+
+
+@pytest.fixture
+def encoder(tmp_path, monkeypatch) -> Path:
+    """A stand-in for ffmpeg: stores what it is fed, fails if the picture is all black, and takes names as ffmpeg does:
+    what stands before a colon is a protocol."""
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text(
+        f"#!{sys.executable}\n"
+        "import re, sys\n"
+        "data = sys.stdin.buffer.read()\n"
+        "if not any(data):\n"
+        "    sys.exit('first line\\nall is black')\n"
+        "if re.match('-|[A-Za-z0-9+.-]*:', sys.argv[-1]):\n"
+        "    sys.exit('Protocol not found')\n"
+        "open(sys.argv[-1], 'wb').write(' '.join(sys.argv[1:-1]).encode() + b'|' + data)\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent))
+    return program

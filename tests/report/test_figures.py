@@ -7,7 +7,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from scsr_opt.camera import Recording, tfp
 from scsr_opt.errors import InputError
-from scsr_opt.report import bicubic, compare, detailed_part, figure
+from scsr_opt.pipeline.scene_summary import SceneSummary
+from scsr_opt.report import bicubic, compare, detailed_part, figure, scene_figure
 
 
 def _titles(drawn) -> list[str]:
@@ -119,3 +120,24 @@ def test_one_grey_scale_for_all_pictures(scene):
 def test_the_key_frame_has_to_be_in_the_recording(solution):
     with pytest.raises(InputError, match="Key frame 99"):
         figure(dataclasses.replace(solution, key=99))
+
+
+@pytest.mark.parametrize("title", ["a $x$ b", "$\\frac{x$", "two\nlines", "a\udcff", "$$", "\\", "電影"])
+@pytest.mark.filterwarnings("ignore:Glyph")
+def test_titles_are_names_of_files_and_no_formulas(solution, title):
+    """Drawn, as they would fail only then."""
+    scene = SceneSummary(np.array([[0, 2]]), np.array([[31, 1]]), np.ones((1, 2), np.float32), "2 layers", 5, 2)
+    for drawn in (
+        figure(solution, title=title),
+        scene_figure(dataclasses.replace(solution, scene=scene), title=title),
+    ):
+        assert _pixels(drawn).shape[2] == 4
+        texts = [text.get_text() for text in (*drawn.texts, *(axes.title for axes in drawn.axes))]
+        texts += _titles(drawn)
+        assert " ".join(title.split()).replace("\udcff", "\\udcff") in texts
+
+
+def test_figure_of_a_crop_shows_the_playback_of_the_crop(solution):
+    cut = dataclasses.replace(solution, image=solution.image[:32, :64], crop=(3, 5, 8, 16), motion=None)
+    part = dataclasses.replace(cut, recording=cut.part, crop=None)
+    np.testing.assert_array_equal(_pixels(figure(cut)), _pixels(figure(part)))

@@ -31,7 +31,7 @@ def test_whole_file_has_the_permissions_of_any_new_file(tmp_path):
 
 
 def test_whole_file_without_a_folder(tmp_path):
-    with pytest.raises(InputError, match=r"Cannot write .*missing/a\.png: no such file or directory"):
+    with pytest.raises(InputError, match=r"Cannot write .*missing/a\.png: the folder .*missing does not exist"):
         with whole_file(tmp_path / "missing" / "a.png"):
             pass
 

@@ -1,6 +1,9 @@
 import os
-import sys
+import shutil
+import subprocess
 
+import imageio.v3
+import ml_dtypes
 import numpy as np
 import pytest
 import tifffile
@@ -139,32 +142,182 @@ def test_mp4_without_an_encoder(monkeypatch):
         check_film("a.mp4")
 
 
-@pytest.fixture
-def encoder(tmp_path, monkeypatch):
-    """A stand-in for ffmpeg: stores what it is fed, or fails if the picture is all black."""
-    program = tmp_path / "bin" / "ffmpeg"
-    program.parent.mkdir()
-    program.write_text(
-        f"#!{sys.executable}\n"
-        "import sys\n"
-        "data = sys.stdin.buffer.read()\n"
-        "if not any(data):\n"
-        "    sys.exit('first line\\nall is black')\n"
-        "open(sys.argv[-1], 'wb').write(' '.join(sys.argv[1:-1]).encode() + b'|' + data)\n"
-    )
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(program.parent))
-
-
 def test_mp4_is_fed_to_the_encoder(tmp_path, encoder):
-    frames = [np.full((2, 3), 1.0), np.zeros((2, 3))]
+    frames = [np.full((2, 4), 1.0), np.zeros((2, 4))]
     assert write_film(tmp_path / "a.mp4", frames, rate=12.5) == 2
     options, data = (tmp_path / "a.mp4").read_bytes().split(b"|")
-    assert b"-video_size 3x2 -framerate 12.5" in options
-    assert data == b"\xff" * 6 + b"\x00" * 6
+    assert b"-video_size 4x2 -framerate 12.5" in options
+    assert data == b"\xff" * 8 + b"\x00" * 8
 
 
 def test_an_encoder_that_fails_leaves_no_film(tmp_path, encoder):
-    with pytest.raises(InputError, match="ffmpeg could not write the film: all is black"):
-        write_film(tmp_path / "a.mp4", [np.zeros((2, 3))])
+    with pytest.raises(InputError, match=r"Cannot write .*a\.mp4: ffmpeg failed, saying all is black\.$"):
+        write_film(tmp_path / "a.mp4", [np.zeros((2, 4))])
     assert os.listdir(tmp_path) == ["bin"]
+
+
+def test_an_encoder_that_stops_reading_leaves_no_film(tmp_path, encoder):
+    """Whatever it says at its end: the film would be cut short."""
+    encoder.write_text("#!/bin/sh\nexit 0\n")
+    with pytest.raises(InputError, match=r"Cannot write .*a\.mp4: ffmpeg failed, without a reason"):
+        write_film(tmp_path / "a.mp4", (np.zeros((512, 512)) for _ in range(50)))
+    assert os.listdir(tmp_path) == ["bin"]
+
+
+@pytest.mark.parametrize(("shape", "size"), [((3, 4), "4x4"), ((4, 5), "6x4"), ((3, 5), "6x4"), ((1, 1), "2x2")])
+def test_write_film_says_what_size_an_mp4_gets(tmp_path, encoder, shape, size):
+    with pytest.warns(UserWarning, match=f"the film is {size}, for pictures of {shape[1]}x{shape[0]}: an MP4 has even"):
+        write_film(tmp_path / "a.mp4", [np.ones(shape)])
+    wide, tall = size.split("x")
+    assert f"pad={wide}:{tall}".encode() in (tmp_path / "a.mp4").read_bytes()
+
+
+FILMS = {
+    "static": lambda number: 0.5,
+    "different": lambda number: number / 20,
+    "alternating": lambda number: number % 2,
+    "in pairs": lambda number: (number // 2) / 10,
+    "black": lambda number: 0.0,
+}
+
+
+def film_of(kind: str, count: int) -> list[np.ndarray]:
+    ramp = np.linspace(0, 0.02, 24).reshape(4, 6)
+    return [np.clip(ramp + FILMS[kind](number), 0, 1) for number in range(count)]
+
+
+@pytest.mark.parametrize("kind", FILMS)
+@pytest.mark.parametrize("count", range(1, 21))
+def test_a_gif_has_as_many_pictures_as_were_handed_in(tmp_path, kind, count):
+    frames = film_of(kind, count)
+    assert write_film(tmp_path / "a.gif", frames) == count
+    expected = np.stack([quantise(frame) for frame in frames])
+    with Image.open(tmp_path / "a.gif") as film:
+        read = []
+        for number in range(film.n_frames):  # pyright: ignore[reportAttributeAccessIssue]
+            film.seek(number)
+            read.append(np.asarray(film.convert("L")))
+    np.testing.assert_array_equal(read, expected)
+    assert gif_pictures((tmp_path / "a.gif").read_bytes()) == count
+    np.testing.assert_array_equal(np.stack(list(imageio.v3.imiter(tmp_path / "a.gif"))), expected)
+
+
+def gif_pictures(data: bytes) -> int:
+    """Image descriptors of a GIF, counted along its blocks (GIF89a specification, appendix A)."""
+    assert data[:6] == b"GIF89a"
+    place, count = 13 + 3 * 2 ** ((data[10] & 7) + 1) * (data[10] >> 7), 0
+
+    def after_sub_blocks(place: int) -> int:
+        while data[place]:
+            place += data[place] + 1
+        return place + 1
+
+    while data[place] != 0x3B:
+        if data[place] == 0x21:
+            place = after_sub_blocks(place + 2)
+        else:
+            assert data[place] == 0x2C
+            flags, count = data[place + 9], count + 1
+            place = after_sub_blocks(place + 11 + 3 * 2 ** ((flags & 7) + 1) * (flags >> 7))
+    assert place == len(data) - 1
+    return count
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs the program ffmpeg")
+@pytest.mark.parametrize("kind", FILMS)
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8, 20])
+@pytest.mark.parametrize("rate", [0.5, 25.0, 1000 / 3])
+def test_an_mp4_has_as_many_pictures_as_were_handed_in(tmp_path, kind, count, rate):
+    path = tmp_path / "2026-11-29T08:00:00.mp4"
+    assert write_film(path, [np.kron(frame, np.ones((16, 16))) for frame in film_of(kind, count)], rate=rate) == count
+    command = ["ffmpeg", "-loglevel", "error", "-i", f"file:{path}", "-fps_mode", "passthrough"]
+    read = subprocess.run([*command, "-f", "rawvideo", "-pix_fmt", "gray", "-"], capture_output=True, check=True).stdout
+    levels = np.frombuffer(read, np.uint8).reshape(-1, 64, 96).mean(axis=(1, 2))
+    assert levels == pytest.approx([255 * frame.mean() for frame in film_of(kind, count)], abs=4)
+
+
+@pytest.mark.parametrize(
+    ("pictures", "message"),
+    [
+        ([(4, 6), (4, 5)], r"Picture 2 of the film is 5x4, but the first is 6x4: bring all to one size\.$"),
+        ([(4, 6), (4, 6), (6, 4)], "Picture 3 of the film is 4x6, but the first is 6x4"),
+        ([(4, 6), (8, 12)], "Picture 2 of the film is 12x8"),
+        ([(4, 6), (4, 6, 3)], r"Picture 2 of the film has shape \(4, 6, 3\), but a picture is \(rows, columns\)"),
+        ([(4,)], r"Picture 1 of the film has shape \(4,\)"),
+        ([()], r"Picture 1 of the film has shape \(\)"),
+        ([(0, 4)], r"Picture 1 of the film has shape \(0, 4\)"),
+        ([], "A film needs at least one picture, but there is none"),
+    ],
+)
+@pytest.mark.parametrize("ending", ["gif", "mp4"])
+def test_write_film_of_pictures_that_do_not_fit_is_refused(tmp_path, encoder, pictures, message, ending):
+    path = tmp_path / f"a.{ending}"
+    path.write_bytes(b"old")
+    with pytest.raises(InputError, match=message):
+        write_film(path, (np.ones(shape) for shape in pictures))
+    assert path.read_bytes() == b"old" and sorted(os.listdir(tmp_path)) == sorted([path.name, "bin"])
+
+
+class Elsewhere:
+    """An array that cannot be had, as a tensor on another device."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise TypeError("it is on another device")
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.arange(256, dtype=np.uint8).reshape(16, 16), "holds whole numbers from 0 to 255, but intensity is 0 for"),
+        (np.full((2, 2), -1), "holds whole numbers from -1 to -1"),
+        (np.full((2, 2), 65535, np.uint16), "as in image / 255"),
+        (np.ones((2, 2), complex), "holds values of type complex128, but a picture holds real numbers"),
+        (np.array([["a", "b"]]), "holds values of type <U1"),
+        (np.array([[None, 1.0]]), "holds values of type object"),
+        (np.array([["2026-11-29"]], "datetime64[D]"), r"holds values of type datetime64\[D\]"),
+        (np.ones((2, 2), [("x", float)]), "holds values of type"),
+        (Elsewhere(), r"is no array of numbers \(it is on another device\)"),
+        (np.ones((2, 2, 3)), r"has shape \(2, 2, 3\), but a picture is \(rows, columns\)"),
+        (np.ones((0, 3)), r"has shape \(0, 3\)"),
+        (np.array(0.5), r"has shape \(\)"),
+        (np.array([[np.nan, 1.0]]), "1 of the picture's 2 values are not finite"),
+    ],
+)
+def test_what_is_no_picture_is_not_written(tmp_path, image, message):
+    for name in ("a.png", "a.tif", "a.npz"):
+        with pytest.raises(InputError, match=message) as refused:
+            write_picture(tmp_path / name, image)
+        assert ". " not in str(refused.value)  # one sentence
+    with pytest.raises(InputError, match=message):
+        write_film(tmp_path / "a.gif", [np.ones((2, 2)), image])
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64, np.float16, np.float32, np.float64, ml_dtypes.bfloat16])
+def test_types_that_hold_intensities(tmp_path, dtype):
+    image = np.array([[0, 1, 1], [1, 0, 0]]).astype(dtype)
+    write_film(tmp_path / "a.gif", [image, image.astype(float)])
+    for name in ("a.png", "a.tif", "a.npz", "a.gif"):
+        if name != "a.gif":
+            write_picture(tmp_path / name, image)
+        assert read_picture(tmp_path / name).tolist() == [[0, 1, 1], [1, 0, 0]]
+
+
+def test_a_gif_too_wide_for_the_format_is_refused(tmp_path):
+    write_film(tmp_path / "a.gif", [np.zeros((1, 65535))])
+    with pytest.raises(InputError, match="The pictures are 65536x1, but a GIF has at most 65535 pixels along a side"):
+        write_film(tmp_path / "b.gif", [np.zeros((1, 65536))])
+    assert os.listdir(tmp_path) == ["a.gif"]
+
+
+def test_a_film_is_written_picture_by_picture(tmp_path):
+    """A long one needs no more memory than a short one: the pictures go into the file as they come."""
+    sizes = []
+
+    def frames():
+        for _ in range(20):
+            yield np.random.default_rng(0).random((100, 100))
+            sizes.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
+
+    assert write_film(tmp_path / "a.gif", frames()) == 20
+    assert all(later > sooner for sooner, later in zip(sizes, sizes[1:], strict=False))

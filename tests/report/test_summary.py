@@ -87,6 +87,23 @@ def test_lines_say_what_is_saturated(report):
         assert "aturated" not in " ".join(lines(share))
 
 
+def test_report_of_a_crop_says_which_part_of_the_sensor_it_shows(solution):
+    assert json.loads(solution.report().json())["picture"]["crop"] is None
+    cut = dataclasses.replace(solution, image=solution.image[:32, :64], crop=(3, 5, 8, 16), motion=None)
+    report = cut.report()
+    told = json.loads(report.json())
+    assert told["picture"]["crop"] == [3, 5, 8, 16] and told["recording"]["width"] == 40
+    assert report.lines()[0] == (
+        "street: 31 frames of 40x24, 16x8 of them from row 3, column 5, key frame 15 -> 64x32 (x4)"
+    )
+
+
+def test_names_that_are_no_text_are_escapes_in_the_report(report, tmp_path):
+    odd = 'a\udcff\n"b" é'
+    dataclasses.replace(report, recording={"name": odd}).write(tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))["recording"]["name"] == odd
+
+
 def test_a_failed_solve_has_a_report_too(solution):
     failed = dataclasses.replace(
         solution, image=np.full((96, 160), np.nan, np.float32), status=Status.non_finite, motion=None, stages=()

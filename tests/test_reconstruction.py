@@ -140,7 +140,7 @@ def test_nothing_left_when_every_pixel_is_bad():
     assert solution.result is Result.no_samples
 
 
-def test_nothing_left_when_all_is_said_to_have_flown_away():
+def test_reconstruct_samples_that_all_leave_the_picture_gives_no_samples():
     spikes = moving(2).spikes
     solution = reconstruct(spikes, scale=2, velocity=(1e6, 1e6))
     assert solution.result is Result.no_samples
@@ -224,8 +224,3 @@ def test_noise_is_not_taken_for_motion(key):
     solution = reconstruct(spikes, scale=2, key=key)
     assert solution.stats["speed_max"] < 0.5  # it was 29 before motions had to explain something
     assert solution.image.mean() == pytest.approx(0.5, rel=0.1)
-
-
-def test_samples_that_all_leave_the_picture_are_none():
-    solution = reconstruct(moving(2).spikes, scale=2, velocity=(1e6, 1e6))
-    assert solution.result is Result.no_samples

@@ -1,12 +1,14 @@
-"""What limits the picture of a scene? `python -m benchmarks.limits SCOREBOARD [--scenes …] [--scales …] [--images 6]`.
+"""Limits of the picture of a scene: strength, motion, occlusion and noise.
+
+    python -m benchmarks.limits SCOREBOARD [--scenes …] [--scales …] [--images 6]
 
 SCOREBOARD is the folder of the scoreboard's scripts, whose scenes know the truth. Each recording is solved several
-times, each time with more of what a real recording does not tell:
+times, each time knowing more that a real recording does not show:
 
 - `reconstruct`: by its defaults.
 - `strength`: the motion it found, and the best of several strengths.
 - `motion`: every sample lies where the truth says; what is hidden in the key frame takes part all the same.
-- `occlusion`: it does not, nor do pixels that see two surfaces at once.
+- `occlusion`: samples that are hidden in the key frame are left out, and pixels that see two surfaces at once.
 - `noise-free`: and every sample is the exact mean of the light over its exposure.
 
 All but the first at the best of the strengths, found by the answer. Prints PSNR in dB, the mean over the stills.

@@ -1,4 +1,4 @@
-"""What a sequence of key frames saves against as many pictures from scratch, and how far its pictures are from those.
+"""Time that a sequence of key frames saves against as many pictures from scratch, and how its pictures differ.
 
     python -m benchmarks.sequences FILE[:WIDTHxHEIGHT] [--pictures 20] [--step 5] [--scale 4] [--first 50] [--rounds 2]
 
@@ -93,8 +93,8 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
 
 
 def _apart(recording: Recording, key: int, scale: int, solution: Solution) -> tuple[float, float]:
-    """By how much the objective of a picture is above that of the full computation with its motion, relative, and the
-    largest change of a tile's mean."""
+    """Returns the objective of a picture above that of the full computation with its motion, relative, and the largest
+    change of a tile's mean."""
     assert solution.motion is not None
     λ = solution.stats["strength"]
     given = {"scale": scale, "key": key, "velocity": solution.motion, "strength": λ, "gain": solution.gain}

@@ -1,4 +1,4 @@
-"""What is saved by skipping what a scene doesn't need, and what that costs in the picture.
+"""Time that is saved by skipping work that a scene does not need, and the change of the picture.
 
     python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 101] [--rounds 3]
 
@@ -67,7 +67,7 @@ def given(files: list[str], scale: int, frames: int) -> Iterator[Case]:
 
 
 def excess(case: Case, full: Solution, other: Solution) -> float:
-    """By how much `other` is above `full`, relative, in the problem that nothing was skipped in."""
+    """Returns the objective of `other` above that of `full`, relative, in the problem that nothing was skipped in."""
     _, stream = stream_around(case.recording, key=None, frames=case.frames, white_rate=None)
     motion = estimate_motion(
         stream.spikes, key=stream.key, white_rate=stream.white_rate, estimator=Automatic(skip=False)

@@ -8,29 +8,22 @@ float32 has to agree with float64 within derived bounds (`benchmarks.stress.boun
 says so, derivatives to be finite. The exit code is 1 if a case fails.
 """
 
-import dataclasses
-import gc
 import itertools
 import multiprocessing
 import os
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import Any
-
-import jax
 
 from benchmarks import command
 from benchmarks.stress import page
 from benchmarks.stress.cases import FAMILIES, Case, cases
 from benchmarks.stress.conditioning import conditions
-from benchmarks.stress.run import examine
+from benchmarks.stress.run import rows_of
 from scsr_opt.progress import Progress
 
 _MOST_WORKERS = 2
-# Linux lets a process have 65,530 mappings of memory, and a compiled program takes some tens.
-_MANY_MAPPINGS = 20_000
 
 
 def measure(options: command.Options) -> Iterator[dict[str, Any]]:
@@ -59,28 +52,11 @@ def measured(chosen: list[Case], progress: Progress, *, quick: bool, workers: in
 def _examined(groups: list[list[Case]], workers: int) -> Iterator[list[dict[str, Any]]]:
     """The rows of each group, in their order."""
     if workers == 1:
-        yield from map(_rows, groups)
+        yield from map(rows_of, groups)
         return
-    # JAX has threads, which a fork would leave hanging.
+    # JAX has threads, which a fork would leave hanging. The processes cannot import functions of `__main__`.
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_rows, groups)
-
-
-def _rows(group: list[Case]) -> list[dict[str, Any]]:
-    rows = []
-    for case in group:
-        found = examine(case)
-        rows.append(
-            {
-                "name": case.name(), **dataclasses.asdict(case), "outcome": found.outcome, "passed": found.passed,
-                "checks": found.checks, "numbers": found.numbers, "message": found.message,
-            }
-        )  # fmt: skip
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > _MANY_MAPPINGS:
-        jax.clear_caches()
-        gc.collect()
-    return rows
+        yield from pool.map(rows_of, groups)
 
 
 BENCHMARK = command.Benchmark("stress", __doc__, tuple(FAMILIES), measure, page.page, page.plots)

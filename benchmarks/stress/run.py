@@ -2,7 +2,9 @@
 
 import dataclasses
 import functools
+import gc
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -36,6 +38,8 @@ from scsr_opt.solvers.stopping import misfit
 
 _DESCENT_ITERATIONS = 30
 _BATCH_SIZE = 3
+# Linux lets a process have 65,530 mappings of memory, and a compiled program takes some tens.
+_MANY_MAPPINGS = 20_000
 
 
 def examine(case: Case) -> Finding:
@@ -53,6 +57,24 @@ def examine(case: Case) -> Finding:
         if _has_to_be_refused(case):
             finding.checks["is refused"] = False
     return finding
+
+
+def rows_of(group: list[Case]) -> list[dict[str, Any]]:
+    """Runs cases that share a program. Returns a row for each, ready for JSON: its axes and what was found."""
+    rows = []
+    for case in group:
+        found = examine(case)
+        rows.append(
+            {
+                "name": case.name(), **dataclasses.asdict(case), "outcome": found.outcome, "passed": found.passed,
+                "checks": found.checks, "numbers": found.numbers, "message": found.message,
+            }
+        )  # fmt: skip
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > _MANY_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
+    return rows
 
 
 def _has_to_be_refused(case: Case) -> bool:

@@ -81,6 +81,7 @@ def test_stress_smallest_cases_write_page(written):
     assert "4 cases by 3 programs. **1 failed.**" in text
     assert "- descent, descent, ISTA, TV, float32, strength 0.0, step 2.5: not so: objective falls" in text
     assert "| agrees with float64 | 2 | 0 |" in text and "| ×2 | static |" in text
+    assert not stress.rows_of.__module__.endswith("__main__")  # worker processes could not import it
 
 
 def test_choosing_smallest_case_writes_page(written, monkeypatch):

@@ -67,15 +67,15 @@ peers: $(RUN_STAMP)
 
 choosing: $(RUN_STAMP)
 	@mkdir -p build
-	$(PY) -m benchmarks.choosing --write docs/choosing.md --json build/choosing.json
+	$(PY) -m benchmarks.choosing --json build/choosing.json --page docs/choosing.md
 
 stress: $(RUN_STAMP)
 	@mkdir -p build
-	$(PY) -m scsr_opt.cli stress --json build/stability.json --page docs/stability.md
+	$(PY) -m benchmarks.stress --json build/stability.json --page docs/stability.md
 
 bench: $(RUN_STAMP)
 	@mkdir -p build
-	$(PY) -m scsr_opt.cli bench --json build/benchmarks.json --page docs/benchmarks.md
+	$(PY) -m benchmarks.bench --json build/benchmarks.json --page docs/benchmarks.md
 
 setup: $(DEV_STAMP)
 

@@ -1,4 +1,4 @@
-"""Run time against error of every rung of the ladder of models, on recordings as large as the sensor.
+"""Run time against error of every learned model, on recordings as large as the sensor.
 
     python -m benchmarks.ladder [--scales 2 4] [--sensor 250 400] [--models fista-huber ridge …] [--rounds 1]
 
@@ -7,24 +7,19 @@ spikes on, compiled. The table gives the medians of the seconds, in turns, their
 """
 
 import argparse
-import time
+from functools import partial
 from statistics import median
-from typing import Any
 
-import numpy as np
-
-from benchmarks.bench_cases import FRAMES, quality, recording_of, still_of
-from benchmarks.choosing_cases import LIGHTS
-from benchmarks.choosing_page import table
-from learned.zoo import Network, model, names
+from benchmarks.bench.whole import default_model, picture_by_model
+from benchmarks.command import table
+from benchmarks.recordings import FRAMES, LIGHTS, quality, recording_of, still_of
+from benchmarks.timing import in_turns
+from learned.zoo import names
 from scsr_opt.camera.scenes import Affine
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.errors import InputError
-from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser, default_prior
 
-# The same as `reconstruct`, which all others are compared with.
-USUAL = {RidgeRegulariser: "ridge", HuberTotalVariation: "fista-huber"}
-# Published for SpikeSR-Net and for Spk2VidNet, on an RTX 3090 and recordings of their own.
+# Seconds that were published, for recordings of their own.
 _PUBLISHED = {"SpikeSR-Net (published, RTX 3090)": 1.088, "Spk2VidNet (published, RTX 3090)": 0.043}
 
 
@@ -38,29 +33,17 @@ def turning(scale: int, height: int, width: int, seed: int = 0) -> Simulation:
 def rows(made: Simulation, chosen: list[str], rounds: int) -> list[list[str]]:
     """A line of the table for each model, the most accurate first."""
     recording, truth = recording_of(made), made.truth(FRAMES // 2)
-    taken: dict[str, list[float]] = {name: [] for name in chosen}
-    found: dict[str, tuple[float, float]] = {}
-    for turn in range(1 + rounds):  # the first compiles
-        for name in chosen:
-            made_by = model(name, made.scale)
-            only_picture: dict[str, Any] = {"record": False} if isinstance(made_by, Network) else {}
-            begin = time.perf_counter()
-            image = np.asarray(made_by(recording, scale=made.scale, **only_picture).image)
-            if turn:
-                taken[name].append(time.perf_counter() - begin)
-            found[name] = quality(truth, image, made.scale)
-    default = USUAL[type(default_prior(made.scale))]
-    usual = median(taken[default]) if default in taken else None
+    pictures = {name: partial(picture_by_model(name, made.scale), recording) for name in chosen}
+    scores = {name: quality(truth, picture(), made.scale) for name, picture in pictures.items()}  # compiles, too
+    seconds = {name: median(taken) for name, taken in in_turns(pictures, rounds).items()}
+    usual = seconds.get(default_model(made.scale))
 
-    def ratio(seconds: float) -> str:
-        return "–" if usual is None else f"{seconds / usual:.2f}"
+    def line(name: str, taken: float, psnr: str, ssim: str) -> list[str]:
+        return [name, f"{taken:.2f}", "–" if usual is None else f"{taken / usual:.2f}", psnr, ssim]
 
-    lines = [
-        [f"`{name}`", f"{median(taken[name]):.2f}", ratio(median(taken[name])), f"{found[name][0]:.2f}",
-         f"{found[name][1]:.3f}"]
-        for name in sorted(chosen, key=lambda name: -found[name][0])
-    ]  # fmt: skip
-    return lines + [[name, f"{seconds:.2f}", ratio(seconds), "–", "–"] for name, seconds in _PUBLISHED.items()]
+    ordered = sorted(chosen, key=lambda name: -scores[name][0])
+    lines = [line(f"`{name}`", seconds[name], f"{scores[name][0]:.2f}", f"{scores[name][1]:.3f}") for name in ordered]
+    return lines + [line(name, taken, "–", "–") for name, taken in _PUBLISHED.items()]
 
 
 def main() -> None:
@@ -69,17 +52,16 @@ def main() -> None:
     parser.add_argument("--sensor", nargs=2, type=int, default=[250, 400], metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--models", nargs="+", help="all whose weights are there, if not given")
     parser.add_argument("--rounds", type=int, default=1)
-    asked = parser.parse_args()
-    if min(asked.rounds, *asked.sensor, *asked.scales) < 1:
+    options = parser.parse_args()
+    if min(options.rounds, *options.sensor, *options.scales) < 1:
         parser.error("--rounds, --sensor and --scales take whole numbers of at least 1.")
     try:
-        for scale in asked.scales:
-            made = turning(scale, *asked.sensor)
-            chosen = asked.models or names(scale)
-            print(f"\n×{scale}, {asked.sensor[1]}×{asked.sensor[0]} sensor pixels:\n")
-            print(
-                table(["model", "seconds", "over `reconstruct`", "PSNR, dB", "SSIM"], rows(made, chosen, asked.rounds))
-            )
+        for scale in options.scales:
+            made = turning(scale, *options.sensor)
+            chosen = options.models or names(scale)
+            print(f"\n×{scale}, {options.sensor[1]}×{options.sensor[0]} sensor pixels:\n")
+            head = ["model", "seconds", "over `reconstruct`", "PSNR, dB", "SSIM"]
+            print(table(head, rows(made, chosen, options.rounds)))
     except InputError as error:
         parser.error(str(error))
 

@@ -1,12 +1,14 @@
-"""What limits the picture of a scene? `python -m benchmarks.limits SCOREBOARD [--scenes …] [--scales …] [--images 6]`.
+"""Limits of the picture of a scene: strength, motion, occlusion and noise.
+
+    python -m benchmarks.limits SCOREBOARD [--scenes …] [--scales …] [--images 6]
 
 SCOREBOARD is the folder of the scoreboard's scripts, whose scenes know the truth. Each recording is solved several
-times, each time with more of what a real recording does not tell:
+times, each time knowing more that a real recording does not show:
 
 - `reconstruct`: by its defaults.
 - `strength`: the motion it found, and the best of several strengths.
 - `motion`: every sample lies where the truth says; what is hidden in the key frame takes part all the same.
-- `occlusion`: it does not, nor do pixels that see two surfaces at once.
+- `occlusion`: samples that are hidden in the key frame are left out, and pixels that see two surfaces at once.
 - `noise-free`: and every sample is the exact mean of the light over its exposure.
 
 All but the first at the best of the strengths, found by the answer. Prints PSNR in dB, the mean over the stills.
@@ -28,9 +30,10 @@ from scsr_opt.camera import Intervals
 from scsr_opt.motion import Motion, estimate_motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.operators.sampling import PlacedSamples, place
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.defaults import default_prior
-from scsr_opt.pipeline.measurement import Stream, measured
-from scsr_opt.pipeline.outer_loop import Rounds
+from scsr_opt.pipeline.measurement import measure
+from scsr_opt.pipeline.outer_loop import MajorizeMinimize
 from scsr_opt.solvers import FISTA
 
 # Times the strength that `reconstruct` chose.
@@ -39,8 +42,10 @@ COLUMNS = ("reconstruct", "strength", "motion", "occlusion", "noise-free")
 
 
 def solved(placed: PlacedSamples, image: jax.Array, strength: float, scale: int) -> np.ndarray:
-    rounds = Rounds(FISTA(), default_prior(scale), jnp.asarray(strength, jnp.float32), None, None, None, False)
-    return np.asarray(rounds(placed, image).outcome.image)
+    method = MajorizeMinimize(
+        FISTA(), default_prior(scale), jnp.asarray(strength, jnp.float32), optics=None, robust=None
+    )
+    return np.asarray(method(placed, image).outcome.image)
 
 
 def true_path(scene: Any, scale: int, frames: int, *, occlusion: bool) -> Trajectory:
@@ -80,17 +85,17 @@ def split(quality: Any, recording: Any, scale: int) -> list[float]:
     frames, key, rate = len(recording.spikes), recording.key, recording.light.white_rate
     shape = recording.truth.shape
     solution = reconstruct(recording.spikes, scale=scale, key=key, white_rate=rate)
-    image, λ = jnp.asarray(solution.image), solution.stats["strength"]
+    image, λ = jnp.asarray(solution.image), solution.diagnostics.strength or 0.0
 
     def best(placed: PlacedSamples) -> float:
         return max(quality(recording.truth, solved(placed, image, λ * factor, scale), scale)[0] for factor in FACTORS)
 
-    stream = Stream(recording.spikes, key, rate, None)
-    found = measured(
-        stream, estimate_motion(recording.spikes, key=key, white_rate=rate), scale=scale, measuring=Intervals()
+    clip = Clip(recording.spikes, key, rate, None)
+    found = measure(
+        clip, estimate_motion(recording.spikes, key=key, white_rate=rate), scale=scale, sampling=Intervals()
     )
     motion = true_motion(recording.scene, scale, key)
-    taken = measured(stream, motion, scale=scale, measuring=Intervals())
+    taken = measure(clip, motion, scale=scale, sampling=Intervals())
     samples, positions, finest = jax.tree.map(jnp.asarray, taken.padded), taken.placed.positions, taken.placed.finest
 
     def at_truth(*, occlusion: bool) -> PlacedSamples:

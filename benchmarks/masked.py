@@ -1,14 +1,18 @@
-"""How well pixels that were masked are predicted, on a recording without ground truth: `python -m benchmarks.masked`.
+"""How well masked pixels of a real recording are predicted, where there is no ground truth.
+
+    python -m benchmarks.masked FILE [--size 400x250] [--scale 4] [--share 0.05] [--masks 1]
 
 A part of the sensor's pixels, drawn at random, is declared bad, so that no method uses them. The picture at the key
-frame, averaged down to the sensor, predicts what they saw; the interval between spikes that holds the key frame tells
-(`tfi`). The error is given for all masked pixels, and apart for those where the scene moves (faster than a tenth of a
-sensor pixel in ten frames, by the estimate from all pixels) and where it is at rest. The last column says by how much a
-method's mean square error is above that of `reconstruct`, pixel by pixel of the same masks, with its standard error.
+frame, averaged down to the sensor, predicts what they saw, which the interval between spikes that holds the key frame
+shows (`tfi`). The table gives the root-mean-square error for all masked pixels, and separately for those where the
+scene moves (faster than a tenth of a sensor pixel in ten frames, by the estimate from all pixels) and where it is at
+rest. The last column says by how much a method's mean square error is above that of `reconstruct`, pixel by pixel of
+the same masks, with its standard error.
 """
 
 import argparse
-import sys
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -16,50 +20,56 @@ from scsr_opt import reconstruct
 from scsr_opt.baselines import BASELINES
 from scsr_opt.camera import Recording, read_recording
 from scsr_opt.camera.playback import tfi
+from scsr_opt.errors import InputError
 from scsr_opt.motion import estimate_motion
 
+METHODS: dict[str, Callable[..., Any]] = {"reconstruct": reconstruct, **BASELINES}
+_FRAMES_AROUND_KEY = 50
+_MOVING = 0.01
+"""Speed from which a pixel counts as moving, sensor pixels per frame."""
 
-def main(arguments: list[str] | None = None) -> None:
-    """Prints a row for each method: root-mean-square error, all masked pixels, moving, at rest, and how far behind."""
+
+def lines(whole: Recording, scale: int, share: float, masks: int, methods: dict[str, Callable[..., Any]]) -> Iterator:
+    """The table, line by line; the first method is the one that the others are compared with."""
+    key = whole.frames // 2
+    first = max(key - _FRAMES_AROUND_KEY, 0)
+    spikes, key = whole.window(first, min(key + _FRAMES_AROUND_KEY + 1, whole.frames)), key - first
+    seen = np.asarray(tfi(spikes, key, white_rate=whole.white_rate))
+    moving = estimate_motion(spikes, key=key, white_rate=whole.white_rate).speed > _MOVING
+    masked = np.stack([np.random.default_rng(seed).random(seen.shape) < share for seed in range(masks)])
+    yield "| method | all | moving | at rest | mean square above |\n|---|---|---|---|---|"
+    reference = None
+    for name, method in methods.items():
+        squares = np.zeros(masked.shape)
+        for number, bad_pixels in enumerate(masked):
+            recording = Recording.from_array(spikes, white_rate=whole.white_rate, bad_pixels=bad_pixels)
+            result = method(recording, scale=scale, key=key, white_rate=whole.white_rate)
+            image = np.asarray(getattr(result, "image", result))
+            sensor = image.reshape(seen.shape[0], scale, seen.shape[1], scale).mean((1, 3))
+            squares[number] = (sensor - seen) ** 2
+        own = squares[masked]
+        reference = own if reference is None else reference
+        above, usual = own - reference, reference.mean()
+        behind = f"{100 * above.mean() / usual:.1f} % ± {100 * above.std() / above.size**0.5 / usual:.1f} %"
+        parts = (masked, masked & moving, masked & ~moving)
+        roots = (f"{np.sqrt(squares[part].mean()):.4f}" if part.any() else "–" for part in parts)
+        yield "| " + " | ".join([name, *roots, behind]) + " |"
+
+
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file")
     parser.add_argument("--size", default="400x250", help="WIDTHxHEIGHT of a flat file")
     parser.add_argument("--scale", type=int, default=4)
-    parser.add_argument("--share", type=float, default=0.05)
-    parser.add_argument("--masks", type=int, default=1, help="so many, drawn one after the other")
-    chosen = parser.parse_args(arguments)
-    width, height = (int(v) for v in chosen.size.split("x"))
-    whole = read_recording(chosen.file, size=(width, height))
-    key, half = whole.frames // 2, 50
-    spikes = whole.window(key - half, key + half + 1)
-    seen = np.asarray(tfi(spikes, half, white_rate=whole.white_rate))
-    moving = estimate_motion(spikes, key=half, white_rate=whole.white_rate).speed > 0.01
-    masks = [np.random.default_rng(seed).random(seen.shape) < chosen.share for seed in range(chosen.masks)]
-    methods = {"reconstruct": reconstruct, **BASELINES}
-    print("| method | all | moving | at rest | mean square above |\n|---|---|---|---|---|")
-    ours = None
-    for name, method in methods.items():
-        squares = []
-        for masked in masks:
-            recording = Recording.from_array(spikes, white_rate=whole.white_rate, bad_pixels=masked)
-            result = method(recording, scale=chosen.scale, key=half, white_rate=whole.white_rate)
-            image = np.asarray(getattr(result, "image", result))
-            sensor = image.reshape(seen.shape[0], chosen.scale, seen.shape[1], chosen.scale).mean((1, 3))
-            squares.append((sensor - seen) ** 2)
-
-        def over(part: np.ndarray, squares: list[np.ndarray] = squares) -> np.ndarray:
-            """The squares of the masked pixels in a part of the picture."""
-            return np.concatenate([square[mask & part] for square, mask in zip(squares, masks, strict=True)])
-
-        everywhere = over(np.ones_like(moving))
-        ours = everywhere if ours is None else ours
-        above = everywhere - ours
-        behind = (
-            f"{100 * above.mean() / ours.mean():.1f} % ± {100 * above.std() / len(above) ** 0.5 / ours.mean():.1f} %"
-        )
-        roots = (f"{np.sqrt(part.mean()):.4f}" for part in (everywhere, over(moving), over(~moving)))
-        print("| " + " | ".join([name, *roots, behind]) + " |")
-        sys.stdout.flush()
+    parser.add_argument("--share", type=float, default=0.05, help="of the pixels that are masked")
+    parser.add_argument("--masks", type=int, default=1, help="how many are drawn, one after the other")
+    options = parser.parse_args()
+    try:
+        recording = read_recording(options.file, size=options.size)
+        for line in lines(recording, options.scale, options.share, options.masks, METHODS):
+            print(line, flush=True)
+    except InputError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":

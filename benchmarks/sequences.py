@@ -1,9 +1,9 @@
-"""What a sequence of key frames saves against as many pictures from scratch, and how far its pictures are from those.
+"""Time that a sequence of key frames saves against as many pictures from scratch, and how its pictures differ.
 
     python -m benchmarks.sequences FILE[:WIDTHxHEIGHT] [--pictures 20] [--step 5] [--scale 4] [--first 50] [--rounds 2]
 
 In turns, after a first of each that compiles: the sequence; as many pictures from scratch; and as many from scratch by
-the full computation (`skip=False`). The table gives the seconds per picture (a sequence prepares the next picture while
+the full computation (`Shortcuts.none()`). The table gives the seconds per picture (a sequence prepares the next picture while
 it solves, so that only the whole can be timed), medians of the rounds; how many times as long each takes as the
 sequence; iterations; and by how much pictures of the sequence differ from each: the largest change of the mean of a
 tile of 16 sensor pixels and the root mean square, both in 1/255 of white. Those are mostly differences of the motion
@@ -17,13 +17,12 @@ from collections.abc import Callable
 from statistics import median
 
 import numpy as np
-from scsr_opt.pipeline.preparation import FRAMES
 
 from benchmarks.skipping import tile_change, unskipped
-from scsr_opt import Recording, Solution, reconstruct, sequence
+from scsr_opt import Recording, Shortcuts, Solution, reconstruct, reconstruct_sequence
 from scsr_opt.camera import read_recording
 from scsr_opt.errors import InputError
-from scsr_opt.pipeline.measurement import stream_around
+from scsr_opt.pipeline.clip import Clip
 
 
 def main() -> None:
@@ -47,13 +46,13 @@ def main() -> None:
 def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
     """Measures, prints a line for each round, and returns the table."""
 
-    def alone(skip: bool) -> list[Solution]:
-        return [reconstruct(recording, scale=scale, key=key, skip=skip) for key in keys]
+    def alone(shortcuts: Shortcuts) -> list[Solution]:
+        return [reconstruct(recording, scale=scale, key=key, shortcuts=shortcuts) for key in keys]
 
     ways: dict[str, Callable[[], list[Solution]]] = {
-        "sequence": lambda: list(sequence(recording, keys, scale=scale)),
-        "from scratch": lambda: alone(True),
-        "in full": lambda: alone(False),
+        "sequence": lambda: list(reconstruct_sequence(recording, keys, scale=scale)),
+        "from scratch": lambda: alone(Shortcuts()),
+        "in full": lambda: alone(Shortcuts.none()),
     }
     made: dict[str, list[Solution]] = {}
     seconds: dict[str, list[float]] = {name: [] for name in ways}
@@ -65,7 +64,7 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
                 seconds[name].append((time.perf_counter() - begin) / len(keys))
                 print(f"round {turn}, {name}: {seconds[name][-1]:.2f} s a picture", flush=True)
     following = made["sequence"]
-    carried = sum(solution.stats["carried"] for solution in following)
+    carried = sum(bool(solution.diagnostics.motion_carried) for solution in following)
     lines = [
         f"{carried} of {len(keys)} motions were carried on.",
         "",
@@ -74,7 +73,7 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
     ]
     for name, solutions in made.items():
         taken = median(seconds[name])
-        iterations = median(solution.stats["iterations"] for solution in solutions)
+        iterations = median(solution.diagnostics.iterations for solution in solutions)
         pairs = list(zip(solutions, following, strict=True))
         tile = max(tile_change(one.image, other.image, scale) for one, other in pairs)
         rms = max(_difference(one, other) for one, other in pairs)
@@ -93,14 +92,13 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
 
 
 def _apart(recording: Recording, key: int, scale: int, solution: Solution) -> tuple[float, float]:
-    """By how much the objective of a picture is above that of the full computation with its motion, relative, and the
-    largest change of a tile's mean."""
+    """Returns the objective of a picture above that of the full computation with its motion, relative, and the largest
+    change of a tile's mean."""
     assert solution.motion is not None
-    λ = solution.stats["strength"]
-    given = {"scale": scale, "key": key, "velocity": solution.motion, "strength": λ, "gain": solution.gain}
-    full = reconstruct(recording, **given, skip=False)
-    _, stream = stream_around(recording, key=key, frames=FRAMES, white_rate=None)
-    objective = unskipped(stream, solution.motion, scale, λ, solution.gain)
+    λ = solution.diagnostics.strength or 0.0
+    given = {"scale": scale, "key": key, "motion": solution.motion, "strength": λ, "gain": solution.gain}
+    full = reconstruct(recording, **given, shortcuts=Shortcuts.none())
+    objective = unskipped(Clip.around(recording, key), solution.motion, scale, λ, solution.gain)
     above = objective(solution.image) / objective(full.image) - 1
     return above, tile_change(full.image, solution.image, scale)
 

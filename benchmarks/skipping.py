@@ -1,4 +1,4 @@
-"""What is saved by skipping what a scene doesn't need, and what that costs in the picture.
+"""Time that is saved by skipping work that a scene does not need, and the change of the picture.
 
     python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 101] [--rounds 3]
 
@@ -20,15 +20,16 @@ import numpy as np
 from jaxtyping import Float
 from skimage import color, data
 
-from scsr_opt import Recording, Solution, reconstruct
+from scsr_opt import Recording, Shortcuts, Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, read_recording, simulate
 from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Static, Translation, TurningDisc
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
 from scsr_opt.motion import Automatic, Motion, estimate_motion
 from scsr_opt.operators import Aperture
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.defaults import default_prior
-from scsr_opt.pipeline.measurement import Stream, measured, stream_around
+from scsr_opt.pipeline.measurement import measure
 from scsr_opt.pipeline.scene_summary import TILE
 
 
@@ -67,21 +68,19 @@ def given(files: list[str], scale: int, frames: int) -> Iterator[Case]:
 
 
 def excess(case: Case, full: Solution, other: Solution) -> float:
-    """By how much `other` is above `full`, relative, in the problem that nothing was skipped in."""
-    _, stream = stream_around(case.recording, key=None, frames=case.frames, white_rate=None)
-    motion = estimate_motion(
-        stream.spikes, key=stream.key, white_rate=stream.white_rate, estimator=Automatic(skip=False)
-    )
-    objective = unskipped(stream, motion, case.scale, full.stats["strength"])
+    """Returns the objective of `other` above that of `full`, relative, in the problem that nothing was skipped in."""
+    clip = Clip.around(case.recording, frames=case.frames)
+    motion = estimate_motion(clip.spikes, key=clip.key, white_rate=clip.white_rate, estimator=Automatic(skip=False))
+    objective = unskipped(clip, motion, case.scale, full.diagnostics.strength or 0.0)
     return objective(other.image) / objective(full.image) - 1
 
 
 def unskipped(
-    stream: Stream, motion: Motion, scale: int, strength: float, gain: Float[np.ndarray, "h w"] | None = None
+    clip: Clip, motion: Motion, scale: int, strength: float, gain: Float[np.ndarray, "h w"] | None = None
 ) -> Callable[[Float[np.ndarray, "H W"]], float]:
     """The objective, of pictures, that nothing was skipped in."""
-    _, height, width = stream.spikes.shape
-    placed = measured(stream, motion, scale=scale, measuring=Intervals(), gain=gain, merge=False).placed
+    height, width = clip.shape
+    placed = measure(clip, motion, scale=scale, sampling=Intervals(), gain=gain, merge=False).placed
     aperture, prior = Aperture((scale * height, scale * width), scale), default_prior(scale)
 
     def objective(image: Float[np.ndarray, "H W"]) -> float:
@@ -122,9 +121,9 @@ def row(case: Case, rounds: int) -> str:
     taken: dict[bool, list[float]] = {False: [], True: []}
     found: dict[bool, Solution] = {}
     for turn in range(1 + rounds):  # the first compiles
-        for skip in (False, True):
+        for skip, shortcuts in ((False, Shortcuts.none()), (True, Shortcuts())):
             begin = time.perf_counter()
-            found[skip] = reconstruct(case.recording, scale=case.scale, frames=case.frames, skip=skip)
+            found[skip] = reconstruct(case.recording, scale=case.scale, frames=case.frames, shortcuts=shortcuts)
             if turn:
                 taken[skip].append(time.perf_counter() - begin)
     full, skipping = found[False], found[True]

@@ -70,7 +70,7 @@ def prepared(name: str, folder: Path) -> tuple[Path, float]:
 
 
 def rows(peer: str, python: str, path: Path, lowest: float) -> list[dict[str, Any]]:
-    """What the script of a peer prints. A peer that fails says so and has only the rows up to there."""
+    """The rows that the script of a peer prints; those up to its failure, which is reported, if it fails."""
     module = "benchmarks.peers.ours" if peer == OURS else f"benchmarks.peers.peer_{peer}"
     script = subprocess.run(
         [python, "-m", module, str(path), repr(lowest)], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False

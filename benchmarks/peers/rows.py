@@ -1,6 +1,6 @@
-"""What every row of the table is: a method run to 0.1 % of the minimum and then timed, the same way for all.
+"""Rows of the table: a method run to 0.1 % of the minimum and then timed, the same way for all.
 
-The number of iterations is looked for first, on the clock of nobody: runs of 1, 2, 4, … iterations from the start until
+The number of iterations is looked for first, without timing: runs of 1, 2, 4, … iterations from the start until
 one is near enough, then halving between the last two. Then that very run, with nothing watching it, is timed several
 times over. What a library compiles or sets up is done before, as far as the library keeps it.
 

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from cyclopts import App
 
 from scsr_opt.cli.baseline import baseline
-from scsr_opt.cli.bench import bench
 from scsr_opt.cli.compare import compare
 from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.demo import demo
@@ -24,7 +23,6 @@ from scsr_opt.cli.options import say_error
 from scsr_opt.cli.play import play
 from scsr_opt.cli.simulate import simulate
 from scsr_opt.cli.solve import solve
-from scsr_opt.cli.stress import stress
 from scsr_opt.cli.train import train
 from scsr_opt.cli.wording import sentence
 
@@ -46,7 +44,7 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, film, baseline, demo, train, compare, stress, bench):
+for _command in (info, simulate, play, solve, film, baseline, demo, train, compare):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 

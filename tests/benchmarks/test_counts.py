@@ -1,8 +1,8 @@
-"""A guard against becoming slower that no noise can set off: counts, compared with those in counts.json.
+"""Regression guard that no noise can set off: iterations, operations, bytes and kernels, compared with counts.json.
 
-What is a change on purpose, or another version of XLA (`jax` in the file says which it was), is taken over by
+A change on purpose, or another version of XLA (`jax` in the file says which it was), is taken over by
 
-    .venv/bin/python -m benchmarks.bench_counts --write tests/benchmarks/counts.json
+    .venv/bin/python -m benchmarks.counts --write tests/benchmarks/counts.json
 
 after a look at what changed. With the version of XLA that they were counted with, programs differ little from processor
 to processor: to lose one fusion in each dual step is beyond the margins. Other versions fuse differently, and there the
@@ -10,14 +10,12 @@ margins notice work that is done twice.
 """
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import jax
 import pytest
 
-from benchmarks import bench_counts
+from benchmarks import counts
 
 RECORDED = json.loads((Path(__file__).parent / "counts.json").read_text(encoding="utf-8"))
 # Of iterations: rounding decides about one at each restart, which comes every ten or so.
@@ -28,20 +26,26 @@ COUNTED = ("operations a pixel", "bytes a pixel", "bytes held a pixel", "fusions
 MARGIN = 0.1 if jax.__version__ == RECORDED["jax"] else 0.25
 
 
-@contextmanager
-def compiled_quickly() -> Iterator[None]:
-    """Where it does not matter how well it is compiled."""
+@pytest.fixture
+def quickly_compiled():
+    """Quick compilation, for counts that do not depend on how well programs are compiled."""
     before = jax.config.read("jax_disable_most_optimizations")
     jax.config.update("jax_disable_most_optimizations", True)
-    try:
-        yield
-    finally:
-        jax.config.update("jax_disable_most_optimizations", before)
+    yield
+    jax.config.update("jax_disable_most_optimizations", before)
 
 
-def test_no_solver_needs_more_iterations():
-    with compiled_quickly():
-        counted = bench_counts.iterations()
+def test_programs_move_and_calculate_no_more():
+    """Less is no failure; but let the file know of it, so that it is kept."""
+    counted = counts.programs()
+    assert set(counted) == set(RECORDED["programs"])
+    for name, recorded in RECORDED["programs"].items():
+        for what in COUNTED:
+            assert 0 < counted[name][what] <= (1 + MARGIN) * recorded[what], f"{name}: {what}, {recorded[what]} before"
+
+
+def test_solvers_need_no_more_iterations(quickly_compiled):
+    counted = counts.iterations()
     assert set(counted) == set(RECORDED["iterations"])
     for solver, recorded in RECORDED["iterations"].items():
         for gap, number in recorded.items():
@@ -49,29 +53,8 @@ def test_no_solver_needs_more_iterations():
             assert counted[solver].get(gap, 10**6) <= most, f"{solver} to a gap of {gap}, {number} before"
 
 
-def test_no_iteration_does_more():
-    """Less is no failure; but let the file know of it, so that it is kept."""
-    counted = bench_counts.programs()
-    assert set(counted) == set(RECORDED["programs"])
-    for name, recorded in RECORDED["programs"].items():
-        for what in COUNTED:
-            assert 0 < counted[name][what] <= (1 + MARGIN) * recorded[what], f"{name}: {what}, {recorded[what]} before"
-
-
-def test_the_same_shape_compiles_nothing_again():
-    with compiled_quickly():
-        counted = bench_counts.compilations_again()
+def test_same_shape_compiles_nothing_again(quickly_compiled):
+    counted = counts.compilations_again()
     assert counted["first"] > 0 and counted["again"] == 0
     # Another recording may have another of the few lengths that samples are padded to.
     assert counted["second"] <= 10 and counted["third"] == 0
-
-
-@pytest.mark.parametrize("name", ["iterations", "programs"])
-def test_the_file_is_written_as_it_was_counted(name, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(bench_counts, "iterations", lambda: {"FISTA": {"1e-01": 1}})
-    monkeypatch.setattr(bench_counts, "programs", lambda: {"FISTA": {"fusions": 2}})
-    monkeypatch.setattr("sys.argv", ["bench_counts", "--write", str(tmp_path / "counts.json")])
-    bench_counts.main()
-    told = json.loads((tmp_path / "counts.json").read_text())
-    assert set(told) == set(RECORDED) and told[name] == getattr(bench_counts, name)()
-    assert json.loads(capsys.readouterr().out) == told

@@ -177,40 +177,6 @@ def test_a_picture_handed_in_is_not_changed_and_one_handed_out_cannot_be():
         scene.frame(0.0)[:] = 1
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Static(np.zeros((3, 4, 2))), r"The picture has shape \(3, 4, 2\), but a picture is \(rows, columns\)"),
-        (lambda: Static(np.zeros((0, 4))), r"shape \(0, 4\)"),
-        (lambda: Static(np.zeros((3, 4), np.int32)), "values of type int32, but a picture is floating-point"),
-        (lambda: Static(np.full((3, 4), 255.0)), "values from 255 to 255, but intensity is from 0"),
-        (lambda: Static(np.full((3, 4), np.nan)), "values from nan to nan"),
-        (lambda: Static(smooth(), key=np.inf), "key is inf, but it must be a finite number, a time in spike frames"),
-        (lambda: Translation(smooth(), 3.0), r"velocity is 3.0, but it must be two finite numbers \(rows, columns\)"),
-        (lambda: Translation(smooth(), (1.0, np.nan)), "velocity is .* two finite numbers .*in HR pixels per frame"),
-        (lambda: Affine(smooth(), rotation=np.nan), "rotation is nan, but it must be a finite number, radians"),
-        (lambda: Affine(smooth(), zoom=np.inf), "zoom is inf"),
-        (lambda: Affine(smooth(), zoom=1e200), r"zoom is 1e\+200, .* of 1 at most either way"),
-        (lambda: Translation(smooth(), (0.0, -1e300)), r"velocity is .* of 1e\+06 at most either way"),
-        (lambda: Affine(smooth(), shear=np.inf), "shear is inf"),
-        (lambda: Affine(smooth(), drift=(1.0,)), "drift is"),
-        (lambda: Affine(smooth(), centre="here"), "centre is 'here'"),
-        (lambda: MovingObject(smooth() * 9, smooth(), (0.0, 1.0)), "The background holds values"),
-        (
-            lambda: MovingObject(smooth(), smooth(), (0.0, 1.0), shape="star"),
-            "shape is 'star', but it must be an Ellipse",
-        ),
-        (lambda: MovingObject(smooth(), smooth(), (0.0, 1.0), position=4), "position is 4"),
-        (lambda: TurningDisc(smooth(), smooth(), 0.1, radius=0.0), "semi_rows=0.0.* is empty, but its extents must be"),
-        (lambda: Box(np.nan, 3.0), "the extent of Box is nan, but it must be a finite number, HR pixels"),
-        (lambda: Box(3.0, -1.0), r"Box\(half_rows=3.0, half_columns=-1.0\) is empty"),
-    ],
-)
-def test_what_cannot_be_used_is_refused(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
-
-
 @pytest.mark.parametrize("motion_compensated", [False, True])
 def test_a_video_shows_its_frames_exactly_when_they_are_due(motion_compensated):
     frames = np.stack([smooth((24, 30), seed) for seed in range(4)])

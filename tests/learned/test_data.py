@@ -136,20 +136,6 @@ def test_folder_with_clips(here):
         assert np.corrcoef(near.ravel(), seen.ravel())[0, 1] > 0.9
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Pictures.folder("nowhere"), "nowhere is not a folder"),
-        (lambda: Pictures.folder("."), "holds no pictures"),
-        (lambda: Examples(2, 5, 16, scenes=("flight",))[0], "no kind of scene 'flight'"),
-        (lambda: Examples(2, 5, 16, lights=("night",))[0], "no light 'night'"),
-    ],
-)
-def test_refuses(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
-
-
 def test_without_jax():
     """Every worker imports the module; a second for JAX and its memory would be paid by each of them."""
     program = (

@@ -143,8 +143,7 @@ def test_nothing_left_when_every_pixel_is_bad():
     assert solution.status is Status.no_samples
 
 
-def test_reconstruct_all_samples_out_of_the_picture_are_none():
-    """All is said to have flown away."""
+def test_reconstruct_samples_that_all_leave_the_picture_gives_no_samples():
     spikes = moving(2).spikes
     solution = reconstruct(spikes, scale=2, motion=Motion.constant((1e6, 1e6), spikes.shape[1:]))
     assert solution.status is Status.no_samples and not solution.image.any()

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scsr_opt.errors import InputError
 from scsr_opt.priors import Analysis, BilateralTotalVariation, HuberTotalVariation, TotalVariation, WaveletL1
 
 SHAPE = (7, 9)
@@ -329,21 +328,3 @@ def test_priors_do_not_depend_on_which_way_is_down(double, oracle, case):
     if not isinstance(prior, HuberTotalVariation):
         assert float(prior.value(jnp.asarray(f[::-1]))) == pytest.approx(value, rel=1e-12)
         assert float(prior.value(jnp.asarray(f[:, ::-1]))) == pytest.approx(value, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: HuberTotalVariation(0), "knee"),
-        (lambda: HuberTotalVariation(float("inf")), "knee"),
-        (lambda: HuberTotalVariation(0.1, 0), "at least 1"),
-        (lambda: BilateralTotalVariation(0), "radius"),
-        (lambda: BilateralTotalVariation(2, 1.5), "at most 1"),
-        (lambda: BilateralTotalVariation(iterations=0), "iterations"),
-        (lambda: WaveletL1(0), "levels"),
-        (lambda: WaveletL1(iterations=0), "iterations"),
-    ],
-)
-def test_refuses_what_makes_no_sense(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

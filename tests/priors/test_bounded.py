@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scsr_opt.errors import InputError
 from scsr_opt.priors import Bounded, HuberTotalVariation, PlugAndPlay, Prior, TotalGeneralizedVariation, TotalVariation
 from scsr_opt.priors.total_variation import gradient, gradient_adjoint
 
@@ -128,17 +127,3 @@ def test_derivatives_are_finite(oracle):
 
         for found in jax.jit(jax.grad(loss, argnums=(0, 1)))(f, jnp.float32(0.0)):
             assert np.all(np.isfinite(found))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Bounded(TotalVariation(), 1, 1), "below the upper"),
-        (lambda: Bounded(TotalVariation(), float("nan")), "below the upper"),
-        (lambda: Bounded(TotalVariation(), rounds=0), "rounds"),
-        (lambda: Bounded(Bounded(TotalVariation()), 0, 1), "Bounded itself"),
-    ],
-)
-def test_refuses_what_makes_no_sense(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

@@ -1,7 +1,5 @@
 """Step sizes: what they promise, and what solvers make of them."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -170,20 +168,3 @@ def test_balanced_steps_meet_the_condition_of_convergence(ratio, case):
     left = 1 / float(solver._primal(jnp.float32(lipschitz))) - σ * norm_squared
     assert left >= lipschitz / 2
     assert solver._over < 2 - lipschitz / 2 / left
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Fixed(0), "step size 0"),
-        (lambda: Fixed(math.inf), "inf"),
-        (lambda: SpectralNorm(0), "0 iterations"),
-        (lambda: Backtracking(growth=0.9), "growth=0.9"),
-        (lambda: Backtracking(shrink=1), "shrink=1"),
-        (lambda: Balance(0), "ratio 0"),
-        (lambda: Balance(math.nan), "nan"),
-    ],
-)
-def test_values_that_make_no_sense(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

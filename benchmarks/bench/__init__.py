@@ -1,0 +1,1 @@
+"""Speed and accuracy in figures: `python -m benchmarks.bench` writes the tables and plots of docs/benchmarks.md."""

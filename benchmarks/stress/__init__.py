@@ -1,0 +1,1 @@
+"""Numerical stability under stress: `python -m benchmarks.stress` writes the tables and plots of docs/stability.md."""

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from scsr_opt.camera.plausibility import Regularity
-from scsr_opt.camera.sampling import pace
+from scsr_opt.camera.plausibility import Regularity, regularity
+from scsr_opt.camera.sampling import trains_of
 from scsr_opt.camera.sources import FlatLayout, FlatSource
 from scsr_opt.errors import InputError
 
@@ -27,8 +27,8 @@ CAMERA_SIZES = ((400, 250), (1000, 1000))
 ROWS_WITH_GAPS = {400: FlatLayout(416, ((0, 400),)), 1000: FlatLayout(1024, ((0, 500), (512, 1012)))}
 """Width of a sensor → the layout of its files in which not every bit of a row is a pixel."""
 
-_SAMPLED_FRAMES = 8
-"""Frames all over a file by which layouts are told from each other."""
+_SAMPLED_BITS, _SAMPLED_FRAMES = 1 << 22, (8, 64)
+"""Bits, and frames at least and at most, all over a file by which layouts are told from each other."""
 _GAP_CHANGES = 0.01
 """Fraction of the bits between pixels that may differ from frame to frame, bit errors, as a part of the pixels'."""
 
@@ -180,7 +180,9 @@ def _sampled(path: Path, height: int, layout: FlatLayout) -> UInt8[np.ndarray, "
     """All bits of some frames all over the file."""
     frames = layout.frames(path.stat().st_size, height)
     source = FlatSource(path, (frames, height, layout.width), layout, False)
-    chosen = np.unique(np.linspace(0, frames - 1, _SAMPLED_FRAMES).astype(int))
+    least, most = _SAMPLED_FRAMES
+    count = max(least, min(most, _SAMPLED_BITS // layout.frame_bits(height)))
+    chosen = np.unique(np.linspace(0, frames - 1, count).astype(int))
     return np.concatenate([source.bits(int(frame), int(frame) + 1) for frame in chosen])
 
 
@@ -201,7 +203,7 @@ def _fires(path: Path, height: int, layout: FlatLayout, other: FlatLayout) -> bo
 
 def _pace(path: Path, height: int, layout: FlatLayout) -> Regularity:
     frames = layout.frames(path.stat().st_size, height)
-    return pace(FlatSource(path, (frames, height, layout.width), layout, False))
+    return regularity(trains_of(FlatSource(path, (frames, height, layout.width), layout, False)))
 
 
 def _alignment(path: Path, height: int, layout: FlatLayout) -> FlatLayout:

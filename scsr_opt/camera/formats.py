@@ -227,8 +227,8 @@ def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:
             f"{where} has the shape {array.shape} and type {array.dtype}, which is not 'length' = {frames} frames "
             f"packed eight to a byte (ceil(length / 8), rows, columns) of uint8: unpack it, and save it as 'spikes'."
         )
-    # numpy packs the first frame into the highest bit unless told otherwise. In the wrong order, frames of one byte still
-    # lie beside each other; it shows where one byte ends and the next begins, in the middle of pieces that begin at 4.
+    # numpy packs the first frame into the highest bit unless told otherwise. In the wrong order, frames of one byte
+    # still lie beside each other; it shows where one byte ends and the next begins, in the middle of pieces from 4 on.
     orders = [np.unpackbits(array, axis=0, count=count, bitorder=order) for order in ("big", "little")]
     found = [axis_regularity(order[min(4, count - 1) :])[0] for order in orders]
     if abs(found[0].ratio - found[1].ratio) > _ORDERS_DIFFER and (found[0].regular or found[1].regular):
@@ -245,7 +245,15 @@ def _read_hdf5(request: _Request) -> _Read:
     path = request.path
     try:
         with h5py.File(path, "r") as file:
-            key = _find_key(path, request.key and request.key.strip("/"), _dataset_names(file), (HDF5_KEY,))
+            named, names = (request.key or HDF5_KEY).strip("/"), _dataset_names(file)
+            link = file.get(named, getlink=True) if named in file.keys() and named not in names else None
+            if isinstance(link, (h5py.SoftLink, h5py.ExternalLink)):
+                other = f" of {link.filename}" if isinstance(link, h5py.ExternalLink) else ""
+                raise InputError(
+                    f"{path} holds {named!r} as a link that leads nowhere: there is no {link.path}{other}; put the "
+                    f"file it leads to beside it, or name another dataset by key, on the command line by --array."
+                )
+            key = _find_key(path, request.key and named, names, (HDF5_KEY,))
             dataset = cast(h5py.Dataset, file[key])
             where = f"{path.name}, dataset {key!r},"
             shape = checked_shape(tuple(dataset.shape or ()), where)

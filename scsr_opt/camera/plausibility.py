@@ -25,9 +25,9 @@ REGULAR_BELOW = 0.6
 """Ratio below which lines are trains of an integrator: none along rows or columns was below 0.74 (docs/formats.md)."""
 IRREGULAR_ABOVE = 0.85
 """Ratio above which lines are none: real recordings stay below 0.3."""
-CHANGING_ABOVE = 1.3
-"""Ratio above which lines that are none by their ratio may be trains of pixels that go in and out of saturation within
-a piece, as they do where a fine texture passes in too bright light; other files are seldom above it."""
+SATURATED_FRAMES = 5
+"""Frames one after another in which a pixel that fires in all of them is taken for saturated. Where it goes in and out
+of saturation, as where a fine texture passes in too bright light, it fires without regard to when it last did."""
 AXIS_BLOCK = (64, 112, 112)
 """Entries along each axis that are read, from the middle, to tell the axis of time."""
 SMOOTHED_PIXELS = 33
@@ -67,12 +67,28 @@ UNKNOWN = Regularity(1.0, 0.0)
 
 def regularity(blocks: Iterable[Bool[np.ndarray, "n _"]]) -> Regularity:
     """Regularity of blocks of lines of n bits: the lowest that pieces of several lengths give, if there are enough."""
+    found = regularities(blocks)
+    certain = [each for each in found if each.certain]
+    return min(certain) if certain else max(found, key=lambda each: each.expected)
+
+
+def regularities(blocks: Iterable[Bool[np.ndarray, "n _"]]) -> list[Regularity]:
+    """Regularity of blocks of lines of n bits, by pieces of each of `PIECES_FRAMES`."""
     sums = np.zeros((len(PIECES_FRAMES), 2))
     for lines in blocks:
         sums += [_of_pieces(lines, length) for length in PIECES_FRAMES]
-    found = [Regularity(float(seen / expected), float(expected)) for seen, expected in sums if expected]
-    certain = [each for each in found if each.certain]
-    return min(certain) if certain else max(found, key=lambda each: each.expected, default=UNKNOWN)
+    return [Regularity(float(seen / expected), float(expected)) if expected else UNKNOWN for seen, expected in sums]
+
+
+def unsaturated(lines: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "k l"]:
+    """Pieces of the lines in which no bits are set in as many frames one after another as only saturation sets them."""
+    length = min(len(lines), max(PIECES_FRAMES))
+    pieces = lines[: len(lines) // length * length].reshape(-1, length, lines.shape[1])
+    pieces = np.moveaxis(pieces, 1, 0).reshape(length, -1)
+    runs = pieces
+    for _ in range(min(SATURATED_FRAMES, length) - 1):
+        runs = runs[1:] & pieces[: len(runs) - 1]
+    return pieces[:, ~runs.any(axis=0)]
 
 
 def axis_regularity(stored: Any) -> tuple[Regularity, Regularity, Regularity]:

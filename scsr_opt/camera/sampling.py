@@ -1,11 +1,12 @@
 """A bounded part of a flat file, for statistics: opening a recording of gigabytes takes no longer than a small one."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Bool, Int
 
-from scsr_opt.camera.plausibility import PIECES_FRAMES, Regularity, regularity
+from scsr_opt.camera.plausibility import PIECES_FRAMES
 from scsr_opt.camera.sources import FlatSource
 
 _PLACES = 1 << 14
@@ -20,13 +21,13 @@ _RATE_FRAMES = (8, 64)
 """Frames that are added up: enough to tell rows by, and few enough for what moves to stay where it is."""
 
 
-def pace(source: FlatSource) -> Regularity:
-    """Regularity of the trains of a file: 32 frames one after another (more of small ones), at some moments of it."""
+def trains_of(source: FlatSource) -> Iterator[Bool[np.ndarray, "n m"]]:
+    """Bits at some places of 32 frames one after another (more of small ones), at some moments of a file."""
     frames = source.shape[0]
     several = max(1, _PLACES // source.layout.frame_bits(source.shape[1]))
     count = min(frames, max(PIECES_FRAMES) * several)
-    starts = np.unique(np.linspace(0, frames - count, min(_MOMENTS, frames // count)).astype(int))
-    return regularity(_some_bits(source, int(start), count) for start in starts)
+    for start in np.unique(np.linspace(0, frames - count, min(_MOMENTS, frames // count)).astype(int)):
+        yield _some_bits(source, int(start), count)
 
 
 def rates_of(source: FlatSource) -> Int[np.ndarray, "n"]:

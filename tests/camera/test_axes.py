@@ -32,12 +32,12 @@ def _picture(kind: str, height: int, width: int) -> np.ndarray:
 
 
 def _spikes(
-    shape: tuple[int, int, int], kind: str = "smooth", velocity: Any = None, sensor: Sensor = Sensor()
-) -> np.ndarray:  # fmt: skip
+    shape: tuple[int, int, int], kind: str = "smooth", velocity: Any = None, sensor: Sensor | None = None
+) -> np.ndarray:
     frames, height, width = shape
     picture = _picture(kind, height, width)
     scene = Static(picture) if velocity is None else Translation(picture, velocity)
-    return simulate(scene, scale=1, frames=frames, sensor=sensor).spikes
+    return simulate(scene, scale=1, frames=frames, sensor=sensor or Sensor()).spikes
 
 
 def _noise(shape: tuple[int, int, int]) -> np.ndarray:

@@ -182,8 +182,10 @@ def test_kind_of_spikes_is_none(tmp_path, start):
 @pytest.mark.parametrize(
     "start",
     [
-        b"\xff\xd8\xff", b"\xff\xd8\xff\xff", b"\xff\xd8\xff\xfe\xff\xff", b"PK\x03\x04", b"PK\x03\x04\xff\xff", b"BM", b"MZ", b"II*\0",
-        b"\x1f\x8b\x08", b"\x1f\x8b\x08\xff", b"BZh9", b"RIFF", b"\x1a\x45\xdf\xa3", b"\x7fELF\xff", b"\x80\x04", b"% ", b"%\n",
+        b"\xff\xd8\xff", b"\xff\xd8\xff\xff", b"\xff\xd8\xff\xfe\xff\xff", b"PK\x03\x04", b"PK\x03\x04\xff\xff",
+        b"BM", b"MZ", b"II*\0",
+        b"\x1f\x8b\x08", b"\x1f\x8b\x08\xff", b"BZh9", b"RIFF", b"\x1a\x45\xdf\xa3", b"\x7fELF\xff",
+        b"\x80\x04", b"% ", b"%\n",
         b"\0\0\0\0mdat", b"<?", b"\xff\xfe",
     ],
 )  # fmt: skip

@@ -77,7 +77,8 @@ def test_arr_0_of_any_scene_is_told_by_its_content(tmp_path, kind, sensor, veloc
 @pytest.mark.parametrize("shape", [(101, 64, 64), (12, 5, 7), (3, 4, 5), (40, 24, 32), (1, 64, 64)])
 def test_arr_0_whose_content_does_not_tell_is_asked_for(tmp_path, shape):
     frames, height, width = shape
-    np.savez(tmp_path / "x.npz", _noise(shape) if frames > 1 else np.zeros(shape, np.uint8))
+    array = _noise(shape) if frames > 1 else np.zeros(shape, np.uint8)
+    np.savez(tmp_path / "x.npz", array)
     message = (
         rf"{frames} frames of {width}x{height} \(frames, rows, columns\) or {width} frames of {height}x{frames} "
         rf"\(rows, columns, frames\), .*: pass size='{width}x{height}' or size='{height}x{frames}'"
@@ -93,7 +94,7 @@ def _saved(folder, name: str, array: np.ndarray):
     if path.suffix == ".npy":
         np.save(path, array)
     elif path.suffix == ".npz":
-        np.savez(path, **{path.stem: array})
+        np.savez(path, **{path.stem: array})  # pyright: ignore[reportArgumentType]
     else:
         with h5py.File(path, "w") as file:
             file["raw_spike"] = array

@@ -3,17 +3,24 @@
 - `.dat`: flat, packed frames without a header, LSB first; rows bottom-up as the camera stores them, or top-down.
   Mapped.
 - `.npy`: (T, h, w) of 0 and 1, upright. Mapped.
-- `.npz`: `spikes` or `spk` (T, h, w), or `arr_0` (h, w, T), upright; with `white_rate`, `readout_rate` and `bad_pixels`
-  if they are there. Read whole; written as `spikes` with the rest.
+- `.npz`: `spikes`, `spk` or `raw_spike` (T, h, w), or `arr_0` (h, w, T), upright; with `white_rate`, `readout_rate` and
+  `bad_pixels` if they are there; or `seq` (T / 8, h, w), packed along time, with `length`. Read whole; written as
+  `spikes` with the rest.
 - `.h5`, `.hdf5`: dataset `raw_spike` (T, h, w) of 0 and 1, upright; the rates are attributes of it, `bad_pixels` a
-  dataset beside it. Read by windows.
+  dataset beside it. Read by windows. Links are followed.
 
 `raw_spike` is what Spike2Flow and its relatives write (`f['raw_spike'] = spikes`), one byte a pixel. Flat files follow
 SpikeCV's `SpikeToRaw` and the files of the cameras. Those only know frames of a whole number of bytes; here a frame
 whose h·w is not a multiple of 8 is filled up with zero bits to the next byte, so every size can be written and read
-back. Not read: the 1024-bit rows of the 1000x1000 camera with markers between the frames.
+back; files whose frames follow each other without that are read as well.
+
+None of them says for sure what it holds. What can be told by the first bytes (`magic`), by the axis along which spikes
+are regular (`axes`) and by what rows and frames look like (`flat_content`) is, before it is read as something else:
+docs/formats.md has the table.
 """
 
+import math
+import operator
 import os
 import warnings
 import zipfile
@@ -24,15 +31,11 @@ from typing import Any, NamedTuple, SupportsFloat, cast
 import h5py
 import numpy as np
 
-from scsr_opt.camera.flat import (
-    CAMERA_SIZES,
-    better_layout,
-    find_row_bits,
-    find_size,
-    known_sizes,
-    parse_size,
-    show_size,
-)
+from scsr_opt.camera.axes import FIRST, LAST, time_axis
+from scsr_opt.camera.flat import better_layout, contradicted_size, find_layout, find_size, parse_size, show_size
+from scsr_opt.camera.flat_content import remark
+from scsr_opt.camera.magic import HDF5, NPY, ZIP, kind_of
+from scsr_opt.camera.plausibility import axis_regularity
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, Recording, checked_settings
 from scsr_opt.camera.sources import (
     DAMAGED,
@@ -43,7 +46,7 @@ from scsr_opt.camera.sources import (
     SpikeSource,
     as_spikes,
     checked_shape,
-    frame_bytes,
+    hdf5_fault,
 )
 from scsr_opt.camera.writing import write_recording
 from scsr_opt.errors import InputError
@@ -56,6 +59,11 @@ HDF5_KEY = "raw_spike"
 
 _RATES = ("white_rate", "readout_rate")
 _MASK = "bad_pixels"
+_PACKED, _LENGTH = "seq", "length"
+"""Array of frames packed along time, eight to a byte, and the number of frames."""
+_ORDERS_DIFFER = 0.05
+"""Difference of the ratios of the two orders of bits that decides: it is about 1/8 where the spikes are regular."""
+_KINDS = {".npy": NPY, ".npz": ZIP, ".h5": HDF5, ".hdf5": HDF5}
 
 
 class _Request(NamedTuple):
@@ -87,22 +95,25 @@ def read_recording(
     **Arguments:**
     - `size`: `"400x250"` or (width, height), pixels. A `.dat` file needs it unless its name holds it (`…_400x250.dat`)
       or a SpikeCV `config.yaml` (`spike_w`, `spike_h`) lies beside it or one folder up. For the other formats it is
-      checked, and tells (T, h, w) from (h, w, T) for `arr_0`.
+      checked, and tells (T, h, w) from (h, w, T).
     - `flip`: whether the file has the rows bottom-up; they are handed out upright. By default True for `.dat`, as
       cameras and SpikeCV write it, and False for the others.
-    - `row_bits`: bits of a row in a `.dat`, if rows are padded at the right. By default found: 416 for 400 columns
-      where the file's length or, if that fits both or neither, empty padding says so; the width for all others.
+    - `row_bits`: bits of a row in a `.dat`, if some of them are no pixels. By default found: 416 for 400 columns (the
+      last 16 are padding) and 1,024 for 1,000 (12 after each half are markers) where the file's length or, if that fits
+      both or neither, its content says so; the width for all others.
     - `white_rate`: spikes per frame of intensity 1. By default the file's, else 0.6.
     - `readout_rate`: spike frames per second, Hz. By default the file's, else 40,000.
     - `key`: the array of an `.npz` or HDF5 file that holds the spikes, if it has an unusual name.
     - `bad_pixels`: (h, w) mask, upright, True where a pixel must not be used, or the path of a `.npy` that holds it. By
       default the file's, else None.
 
-    **Returns:** the `Recording`. A part of a frame at the end of a `.dat` is dropped, with a warning.
+    **Returns:** the `Recording`. A part of a frame at the end of a `.dat` is dropped, with a warning; there is one too
+    if its bits do not look like spikes of that size, or the size is not the one in its name or `config.yaml`.
 
     **Raises:** `InputError`, one sentence on what was found and what to do, if there is no such file, it is empty,
-    damaged or shorter than a frame, its ending or layout is not known, its size is not known or does not fit, or it
-    holds other values than 0 and 1 (in a mapped file: in its first frame; in later ones when they are read).
+    damaged, another kind of file or shorter than a frame, its ending or layout is not known, its size is not known or
+    does not fit, it is not certain which axis is time, or it holds other values than 0 and 1 (in a mapped file: in its
+    first frame; in later ones when they are read).
     """
     file = Path(path)
     if file.is_dir():
@@ -121,6 +132,7 @@ def read_recording(
         raise InputError(
             f"key={key!r} was given for {file.name}, but a {ending} file holds one array without a name: leave it out."
         )
+    _check_kind(file)
     source, flipped, extras = reader(_Request(file, size, flip, row_bits, key))
     given = {"white_rate": white_rate, "readout_rate": readout_rate, "bad_pixels": _read_mask(bad_pixels)}
     known: dict[str, Any] = {"white_rate": WHITE_RATE, "readout_rate": READOUT_RATE, "bad_pixels": None, **extras}
@@ -132,15 +144,10 @@ def _read_flat(request: _Request) -> _Read:
     path = request.path
     size = find_size(path, request.size)
     width, height = size
-    row_bits = find_row_bits(path, size) if request.row_bits is None else int(request.row_bits)
-    if row_bits < width:
-        raise InputError(
-            f"row_bits={row_bits} is less than the {width} columns of {path.name}: it is the length of a row in the "
-            f"file, padding included, 416 for instance."
-        )
-    length, frame = path.stat().st_size, frame_bytes(height, row_bits)
-    frames, rest = divmod(length, frame)
-    other = better_layout(path, size, row_bits) if rest else None
+    layout = find_layout(path, size, request.row_bits)
+    length, frame = path.stat().st_size, layout.frame_bits(height) // 8
+    frames, rest = layout.frames(length, height), layout.rest(length, height)
+    other = better_layout(path, size, layout) if rest else None
     if frames == 0 or other is not None:
         hint = f"{other} would fit" if other else "check the size, or copy the file again"
         raise InputError(
@@ -154,21 +161,23 @@ def _read_flat(request: _Request) -> _Read:
             f"are dropped; if the picture looks sheared, the size is another one.",
             stacklevel=3,
         )
-    if size not in (known := known_sizes(path)) and (height, width) in known:
-        warnings.warn(
-            f"{path.name}: size {show_size(size)} was given, but its name or config.yaml says "
-            f"{show_size((height, width))}; the size is WIDTHxHEIGHT.",
-            stacklevel=3,
-        )
+    contradicted = contradicted_size(path, size)
+    if contradicted:
+        warnings.warn(contradicted, stacklevel=3)
     flipped = request.flip is None or bool(request.flip)
-    return FlatSource(path, (frames, height, width), row_bits, flipped), flipped, {}
+    source = FlatSource(path, (frames, height, width), layout, flipped)
+    amiss = remark(source)
+    if amiss:
+        warnings.warn(amiss, stacklevel=3)
+    return source, flipped, {}
 
 
 def _read_npy(request: _Request) -> _Read:
     path = request.path
     stored = _open_npy(path)
-    shape = _fitting(checked_shape(stored.shape, path.name), request.size, path.name)
-    source = NpySource(path, shape, bool(request.flip))
+    shape = checked_shape(stored.shape, path.name)
+    last = time_axis(stored, path.name, size=request.size, convention=FIRST) == LAST
+    source = NpySource(path, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
     return source, bool(request.flip), {}
 
@@ -183,42 +192,87 @@ def _read_npz(request: _Request) -> _Read:
             raise _damaged(path, "numpy archive", error) from error
         if isinstance(archive, np.ndarray):
             raise InputError(f"{path} holds a single array without a name: it is an .npy file, give it that ending.")
-        key = _find_key(path, request.key, archive.files, NPZ_KEYS)
+        names = archive.files
+        packed = _PACKED in names and _LENGTH in names
+        key = _find_key(path, request.key, names, (*NPZ_KEYS, _PACKED) if packed else NPZ_KEYS)
         try:
             array = np.asarray(archive[key])
-            extras = {name: _scalar(archive[name]) for name in _RATES if name in archive.files}
-            if _MASK in archive.files:
+            frames = np.asarray(archive[_LENGTH]) if packed and key == _PACKED else None
+            extras = {name: _scalar(archive[name]) for name in _RATES if name in names}
+            if _MASK in names:
                 extras[_MASK] = archive[_MASK]
         except DAMAGED as error:
             raise _damaged(path, "numpy archive", error) from error
     where = f"{path.name}, array {key!r},"
-    shape = checked_shape(array.shape, where)
-    if key == "arr_0" and _rows_first(shape, request.size, where):
+    checked_shape(array.shape, where)
+    if frames is not None:
+        array = _unpacked(array, frames, where)
+    array = as_spikes(array, where)
+    if time_axis(array, where, size=request.size, convention=None if key == "arr_0" else FIRST) == LAST:
         array = np.moveaxis(array, -1, 0)
-    _fitting(checked_shape(array.shape, where), request.size, where)
     upright = array[:, ::-1] if request.flip else array
-    return ArraySource.in_order(as_spikes(upright, where)), bool(request.flip), extras
+    return ArraySource.in_order(upright), bool(request.flip), extras
+
+
+def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:
+    """Frames of bits that are packed along time, eight to a byte, unless they are not packed."""
+    try:
+        count = operator.index(frames.item())
+    except (TypeError, ValueError):
+        count = 0
+    if array.dtype.kind in "bui" and len(array) == count:
+        return array
+    if array.dtype != np.uint8 or len(array) != math.ceil(count / 8):
+        raise InputError(
+            f"{where} has the shape {array.shape} and type {array.dtype}, which is not 'length' = {frames} frames "
+            f"packed eight to a byte (ceil(length / 8), rows, columns) of uint8: unpack it, and save it as 'spikes'."
+        )
+    # numpy packs the first frame into the highest bit unless told otherwise. In the wrong order, frames of one byte
+    # still lie beside each other; it shows where one byte ends and the next begins, in the middle of pieces from 4 on.
+    orders = [np.unpackbits(array, axis=0, count=count, bitorder=order) for order in ("big", "little")]
+    found = [axis_regularity(order[min(4, count - 1) :])[0] for order in orders]
+    if abs(found[0].ratio - found[1].ratio) > _ORDERS_DIFFER and (found[0].regular or found[1].regular):
+        return orders[0] if found[0].ratio < found[1].ratio else orders[1]
+    warnings.warn(
+        f"{where} is packed along time, and its content does not tell in which order: the first of eight frames is "
+        f"taken from the highest bit, as numpy.packbits has it; else unpack it, and save it as 'spikes'.",
+        stacklevel=2,
+    )
+    return orders[0]
 
 
 def _read_hdf5(request: _Request) -> _Read:
     path = request.path
     try:
         with h5py.File(path, "r") as file:
-            key = _find_key(path, request.key and request.key.strip("/"), _dataset_names(file), (HDF5_KEY,))
+            named, names = (request.key or HDF5_KEY).strip("/"), _dataset_names(file)
+            link = file.get(named, getlink=True) if named in file.keys() and named not in names else None
+            if isinstance(link, (h5py.SoftLink, h5py.ExternalLink)):
+                other = f" of {link.filename}" if isinstance(link, h5py.ExternalLink) else ""
+                raise InputError(
+                    f"{path} holds {named!r} as a link that leads nowhere: there is no {link.path}{other}; put the "
+                    f"file it leads to beside it, or name another dataset by key, on the command line by --array."
+                )
+            key = _find_key(path, request.key and named, names, (HDF5_KEY,))
             dataset = cast(h5py.Dataset, file[key])
-            shape = tuple(dataset.shape or ())
+            where = f"{path.name}, dataset {key!r},"
+            shape = checked_shape(tuple(dataset.shape or ()), where)
             attributes = {**file.attrs, **dataset.attrs}
             extras = {name: _scalar(np.asarray(attributes[name])) for name in _RATES if name in attributes}
             if _MASK in file:
                 extras[_MASK] = np.asarray(file[_MASK])
+            last = time_axis(dataset, where, size=request.size, convention=FIRST) == LAST
     except InputError:
         raise
     except DAMAGED as error:
-        raise _damaged(path, "HDF5 file", error) from error
-    where = f"{path.name}, dataset {key!r},"
-    source = Hdf5Source(path, key, _fitting(checked_shape(shape, where), request.size, where), bool(request.flip))
+        raise hdf5_fault(path, error) or _damaged(path, "HDF5 file", error) from error
+    source = Hdf5Source(path, key, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
     return source, bool(request.flip), extras
+
+
+def _time_first(shape: tuple[int, int, int], last: bool) -> tuple[int, int, int]:
+    return (shape[2], shape[0], shape[1]) if last else shape
 
 
 _READERS: dict[str, Callable[[_Request], _Read]] = {
@@ -228,6 +282,20 @@ _READERS: dict[str, Callable[[_Request], _Read]] = {
     ".h5": _read_hdf5,
     ".hdf5": _read_hdf5,
 }
+
+
+def _check_kind(path: Path) -> None:
+    """Refuses what is another kind of file than its ending says."""
+    ending = path.suffix.lower()
+    # Both may begin with something else: an HDF5 file with a block of the user, an archive with a program.
+    if (ending in (".h5", ".hdf5") and h5py.is_hdf5(path)) or (ending == ".npz" and zipfile.is_zipfile(path)):
+        return
+    kind = kind_of(path)
+    if kind is None or kind == _KINDS.get(ending) or (ending in (".npy", ".npz") and kind in (NPY, ZIP)):
+        return  # which arrays the last two hold is said where they are opened
+    fitting = next((other for other, own in _KINDS.items() if own == kind), None)
+    advice = f"give it the ending {fitting}" if fitting else "get the recording itself, or convert it"
+    raise InputError(f"{path} is {kind}, not what its ending {path.suffix} says: {advice}.")
 
 
 def _by_ending(path: Path) -> Callable[[_Request], _Read]:
@@ -254,35 +322,22 @@ def _find_key(path: Path, key: str | None, found: list[str], usual: tuple[str, .
 
 
 def _dataset_names(file: h5py.File) -> list[str]:
+    """Paths of all datasets, those behind soft and external links included; what a link does not lead to is none."""
     names: list[str] = []
-    file.visititems(lambda name, item: names.append(str(name)) if isinstance(item, h5py.Dataset) else None)
+
+    def walk(group: h5py.Group, above: tuple[h5py.Group, ...], prefix: str) -> None:
+        for name in group:
+            try:
+                item = group[name]
+            except (KeyError, OSError):
+                continue
+            if isinstance(item, h5py.Dataset):
+                names.append(f"{prefix}{name}")
+            elif isinstance(item, h5py.Group) and item not in above:
+                walk(item, (*above, item), f"{prefix}{name}/")
+
+    walk(file, (file,), "")
     return names
-
-
-def _rows_first(shape: tuple[int, int, int], size: Any, where: str) -> bool:
-    """Whether `arr_0` is (h, w, T), its convention, and not (T, h, w), which `np.savez(path, spikes)` also calls so."""
-    if size is not None:
-        width, height = parse_size(size)
-        return shape[:2] == (height, width) or shape[1:] != (height, width)
-    for width, height in CAMERA_SIZES:
-        if shape[1:] == (height, width) != shape[:2]:
-            raise InputError(
-                f"{where} has the shape {shape}: by convention that is (rows, columns, frames), but it looks like "
-                f"(frames, rows, columns); pass size='{show_size((width, height))}' or "
-                f"size='{show_size((shape[1], shape[0]))}'."
-            )
-    return True
-
-
-def _fitting(shape: tuple[int, int, int], size: Any, where: str) -> tuple[int, int, int]:
-    if size is not None:
-        width, height = parse_size(size)
-        if shape[1:] != (height, width):
-            raise InputError(
-                f"{where} has {shape[0]} frames of {show_size((shape[2], shape[1]))}, not of the given size "
-                f"{show_size((width, height))}: leave the size out, or transpose the array to (frames, rows, columns)."
-            )
-    return shape
 
 
 def _read_mask(mask: Any) -> Any:

@@ -8,12 +8,14 @@ whichever way the file has them.
 import dataclasses
 import math
 import operator
+import warnings
 from dataclasses import dataclass
 from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from scsr_opt.camera.plausibility import axis_regularity, contradiction
 from scsr_opt.camera.sources import ArraySource, CroppedSource, SpikeSource, as_spikes, checked_shape
 from scsr_opt.errors import InputError
 
@@ -74,6 +76,8 @@ class Recording:
           memory frame after frame is not copied, so do not change it afterwards.
         - the others: as the fields.
 
+        If another axis than the first looks like time by its content, there is a warning.
+
         **Raises:** `InputError` if `array` has another number of dimensions, other values, or nothing in it.
         """
         try:
@@ -85,6 +89,13 @@ class Recording:
             ) from None
         checked_shape(spikes.shape, "The array")
         source = ArraySource.in_order(as_spikes(spikes, "The array"))
+        other = contradiction(axis_regularity(source.array), axis=0)
+        if other is not None:
+            warnings.warn(
+                f"The array of shape {spikes.shape} is taken for (frames, rows, columns), but its content looks as if "
+                f"axis {other} were time: pass np.moveaxis(array, {other}, 0) if it is.",
+                stacklevel=2,
+            )
         return cls(source, name=name, **checked_settings(source.shape, readout_rate, white_rate, bad_pixels))
 
     @property

@@ -14,6 +14,7 @@ import zlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -91,68 +92,129 @@ class ArraySource(SpikeSource):
 
 
 @dataclass(frozen=True)
-class FlatSource(SpikeSource):
-    """A flat file: packed frames one after another, no header.
+class FlatLayout:
+    """Where the pixels of a frame lie among the bits of a flat file.
 
-    A frame is ceil(h·row_bits / 8) bytes, row-major; within a byte the least significant bit is the leftmost pixel.
-    Each row has `row_bits` ≥ w bits, of which the last row_bits − w are padding. `flipped`: the bottom row comes first.
+    **Fields:**
+    - `row_bits`: bits of a row, those that are no pixels included.
+    - `segments`: (start, stop) of the runs of bits of a row that are its pixels, from left to right.
+    - `aligned`: whether every frame begins on a whole byte, zero bits filling up the last one of the frame before.
     """
 
-    path: Path
-    shape: tuple[int, int, int]
     row_bits: int
-    flipped: bool
+    segments: tuple[tuple[int, int], ...]
+    aligned: bool = True
 
     @property
-    def frame_bytes(self) -> int:
-        return frame_bytes(self.shape[1], self.row_bits)
+    def width(self) -> int:
+        """Pixels of a row."""
+        return sum(stop - start for start, stop in self.segments)
 
-    def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
-        _, height, width = self.shape
-        count, size = stop - start, self.frame_bytes
-        try:
-            packed = np.memmap(self.path, np.uint8, mode="r", offset=start * size, shape=(count, size))
-        except DAMAGED as error:
-            raise _lost(self.path, error) from error
-        bits = np.unpackbits(packed, axis=1, count=height * self.row_bits, bitorder="little")
-        rows = bits.reshape(count, height, self.row_bits)[:, :, :width]
-        if self.flipped or self.row_bits != width:
-            return _copied(rows, self.flipped)
+    def frame_bits(self, height: int) -> int:
+        """Bits from the beginning of a frame of `height` rows to that of the next."""
+        bits = height * self.row_bits
+        return math.ceil(bits / 8) * 8 if self.aligned else bits
+
+    def frames(self, length: int, height: int) -> int:
+        """Whole frames of `height` rows in a file of `length` bytes."""
+        return length * 8 // self.frame_bits(height)
+
+    def rest(self, length: int, height: int) -> int:
+        """Bytes of a file of `length` bytes that are left over after its whole frames."""
+        bits = length * 8 % self.frame_bits(height)
+        return math.ceil(bits / 8) if self.aligned else bits // 8
+
+    def pixels(self, rows: Shaped[np.ndarray, "... row_bits"]) -> Shaped[np.ndarray, "... w"]:
+        """Pixels of rows of bits: a view where they lie in one piece."""
+        parts = [rows[..., start:stop] for start, stop in self.segments]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+
+    def rows(self, frames: UInt8[np.ndarray, "n h w"]) -> UInt8[np.ndarray, "n h row_bits"]:
+        """Rows of bits with these pixels, zeros between them."""
+        if self.segments == ((0, self.row_bits),):
+            return frames
+        rows = np.zeros((*frames.shape[:2], self.row_bits), np.uint8)
+        column = 0
+        for start, stop in self.segments:
+            rows[:, :, start:stop] = frames[:, :, column : column + stop - start]
+            column += stop - start
         return rows
 
 
 @dataclass(frozen=True)
+class FlatSource(SpikeSource):
+    """A flat file: packed frames one after another, no header.
+
+    A frame is row-major; within a byte the least significant bit is the leftmost pixel. `layout` says which bits are
+    pixels. `flipped`: the bottom row comes first.
+    """
+
+    path: Path
+    shape: tuple[int, int, int]
+    layout: FlatLayout
+    flipped: bool
+
+    def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
+        height, row_bits = self.shape[1], self.layout.row_bits
+        rows = self.bits(start, stop)[:, : height * row_bits].reshape(stop - start, height, row_bits)
+        pixels = self.layout.pixels(rows)
+        if self.flipped or not pixels.flags.c_contiguous:
+            return _copied(pixels, self.flipped)
+        return pixels
+
+    def bits(self, start: int, stop: int) -> UInt8[np.ndarray, "n bits"]:
+        """All bits of frames `start` to `stop` − 1, as they lie in the file."""
+        count = self.layout.frame_bits(self.shape[1])
+        bits = np.unpackbits(self.packed(start, stop), bitorder="little")
+        skipped = start * count % 8
+        return bits[skipped : skipped + (stop - start) * count].reshape(stop - start, count)
+
+    def packed(self, start: int, stop: int) -> UInt8[np.ndarray, "bytes"]:
+        """Bytes that hold frames `start` to `stop` − 1, mapped."""
+        count = self.layout.frame_bits(self.shape[1])
+        first = start * count // 8
+        length = math.ceil(stop * count / 8) - first
+        try:
+            return np.memmap(self.path, np.uint8, mode="r", offset=first, shape=(length,))
+        except DAMAGED as error:
+            raise _lost(self.path, error) from error
+
+
+@dataclass(frozen=True)
 class NpySource(SpikeSource):
-    """A `.npy` file that holds (T, h, w), mapped; its values are checked as they are read."""
+    """A `.npy` file that holds (T, h, w), or (h, w, T) if `time_last`, mapped; values are checked as they are read."""
 
     path: Path
     shape: tuple[int, int, int]
     flipped: bool
+    time_last: bool
 
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
         try:
             stored = np.lib.format.open_memmap(self.path, mode="r")
         except DAMAGED as error:
             raise _lost(self.path, error) from error
-        frames = as_spikes(np.asarray(stored[start:stop]), f"{self.path.name}, frames {start} to {stop - 1},")
+        window = np.asarray(frames_of(stored, start, stop, self.time_last))
+        frames = as_spikes(window, f"{self.path.name}, frames {start} to {stop - 1},")
         return _copied(frames, self.flipped)
 
 
 @dataclass(frozen=True)
 class Hdf5Source(SpikeSource):
-    """The dataset `key` of an HDF5 file, (T, h, w); its values are checked as they are read."""
+    """The dataset `key` of an HDF5 file, (T, h, w), or (h, w, T) if `time_last`; values are checked when read."""
 
     path: Path
     key: str
     shape: tuple[int, int, int]
     flipped: bool
+    time_last: bool
 
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
         try:
             with h5py.File(self.path, "r") as file:
-                stored = np.asarray(file[self.key][start:stop])  # pyright: ignore[reportIndexIssue]
+                stored = np.asarray(frames_of(file[self.key], start, stop, self.time_last))
         except DAMAGED as error:
-            raise _lost(self.path, error) from error
+            raise hdf5_fault(self.path, error) or _lost(self.path, error) from error
         frames = as_spikes(stored, f"{self.path.name}, dataset {self.key!r}, frames {start} to {stop - 1},")
         return _copied(frames, self.flipped)
 
@@ -176,18 +238,32 @@ class CroppedSource(SpikeSource):
         return _copied(self.source.read(start, stop)[:, rows, columns], False)
 
 
-def frame_bytes(height: int, row_bits: int) -> int:
-    """Bytes of a packed frame. Frames begin on whole bytes: where h·row_bits is no multiple of 8, zero bits fill up."""
-    return math.ceil(height * row_bits / 8)
+def frames_of(stored: Any, start: int, stop: int, time_last: bool) -> Any:
+    """Frames `start` to `stop` − 1 of an array or dataset, time first."""
+    return np.moveaxis(stored[:, :, start:stop], -1, 0) if time_last else stored[start:stop]
 
 
-def pack(frames: UInt8[np.ndarray, "n h w"], row_bits: int, flipped: bool) -> UInt8[np.ndarray, "n bytes"]:
-    """Frames as the bytes of a flat file, one row of bytes a frame: the inverse of `FlatSource.read`."""
-    count, height, width = frames.shape
-    rows = frames[:, ::-1] if flipped else frames
-    if row_bits != width:
-        rows = np.pad(rows, ((0, 0), (0, 0), (0, row_bits - width)))
-    return np.packbits(rows.reshape(count, height * row_bits), axis=1, bitorder="little")
+def pack(frames: UInt8[np.ndarray, "n h w"], layout: FlatLayout, flipped: bool) -> UInt8[np.ndarray, "n bytes"]:
+    """Frames as the bytes of an aligned flat file, one row of bytes a frame: the inverse of `FlatSource.read`."""
+    count, height, _ = frames.shape
+    rows = layout.rows(frames[:, ::-1] if flipped else frames)
+    return np.packbits(rows.reshape(count, height * layout.row_bits), axis=1, bitorder="little")
+
+
+def hdf5_fault(path: Path, error: Exception) -> InputError | None:
+    """What h5py's `error` means where the file itself is not to blame; None for all others."""
+    text = str(error).lower()
+    if "lock" in text and "file" in text:
+        return InputError(
+            f"{path} is locked, another program has it open for writing: close it there, or set the environment "
+            f"variable HDF5_USE_FILE_LOCKING=FALSE if it only stayed locked."
+        )
+    if "plugin" in text or ("filter" in text and ("not registered" in text or "not available" in text)):
+        return InputError(
+            f"{path} is compressed with a filter that is not installed here ({error}): install it (pip install "
+            f"hdf5plugin, and import hdf5plugin first), or rewrite the file with h5repack -f GZIP=1."
+        )
+    return None
 
 
 def _copied(frames: UInt8[np.ndarray, "n h w"], flipped: bool) -> UInt8[np.ndarray, "n h w"]:

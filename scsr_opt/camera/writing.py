@@ -17,9 +17,9 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
-from scsr_opt.camera.flat import known_sizes, show_size
+from scsr_opt.camera.flat import known_sizes, row_layout, show_size
 from scsr_opt.camera.recording import Recording, checked_settings
-from scsr_opt.camera.sources import pack
+from scsr_opt.camera.sources import FlatLayout, pack
 from scsr_opt.errors import InputError
 from scsr_opt.report.files import check_writable, read_meanwhile, whole_file
 
@@ -49,8 +49,8 @@ def write_recording(
     - `path`: ends in `.dat`, `.npy`, `.npz`, `.h5` or `.hdf5`; a file of that name is replaced, as by `numpy.save`.
     - `recording`: a `Recording`, or an array (T, h, w) of 0 and 1, upright.
     - `flip`: `.dat` only: store the rows bottom-up as cameras do (the default), or top-down.
-    - `row_bits`: `.dat` only: length of a row in the file, at least the width; zero bits are appended. By default the
-      width.
+    - `row_bits`: `.dat` only: length of a row in the file, at least the width; the bits that are no pixels are zero. By
+      default the width.
     - `white_rate`, `readout_rate`, `bad_pixels`: if given, instead of the recording's.
 
     **Returns:** the path.
@@ -85,7 +85,7 @@ def write_recording(
         _check_flat(file, recording, bits)
     with whole_file(file) as part:
         if ending == ".dat":
-            _write_flat(part, recording, bits, flip is None or bool(flip))
+            _write_flat(part, recording, row_layout(recording.width, bits), flip is None or bool(flip))
         elif ending == ".npy":
             with part.open("wb") as stream:
                 _write_spikes(stream, recording)
@@ -104,7 +104,7 @@ def _check_flat(file: Path, recording: Recording, row_bits: int) -> None:
             f"row in the file, padding included."
         )
     known = known_sizes(file)
-    if known and size not in known:
+    if known and set(known) != {size}:
         raise InputError(
             f"{file} would be read back as frames of {' or '.join(show_size(other) for other in sorted(known))}, by "
             f"its name or config.yaml, but the recording is {show_size(size)}: put that into the name."
@@ -118,10 +118,10 @@ def _chunks(recording: Recording, multiple: int = 1) -> Iterator[UInt8[np.ndarra
     return read_meanwhile(recording.window(start, min(start + step, recording.frames)) for start in starts)
 
 
-def _write_flat(part: Path, recording: Recording, row_bits: int, flipped: bool) -> None:
+def _write_flat(part: Path, recording: Recording, layout: FlatLayout, flipped: bool) -> None:
     with part.open("wb") as stream:
         for frames in _chunks(recording):
-            stream.write(pack(frames, row_bits, flipped).tobytes())
+            stream.write(pack(frames, layout, flipped).tobytes())
 
 
 def _write_spikes(stream: IO[bytes] | BufferedIOBase, recording: Recording) -> None:

@@ -92,7 +92,7 @@ MISTAKES = {
     "objects": (lambda f: read_recording(_npy(f / "r.npy", np.array([None]))), r"no readable numpy array"),
     "order of arr_0": (
         lambda f: read_recording(_npz(f / "r.npz", np.zeros((3, 250, 400), bool))),
-        r"'arr_0', has the shape \(3, 250, 400\).*looks like \(frames, rows, columns\); "
+        r"'arr_0', has the shape \(3, 250, 400\), which is 3 frames of 400x250 .* or 400 frames of 250x3 .*: "
         r"pass size='400x250' or size='250x3'",
     ),
     "another size": (

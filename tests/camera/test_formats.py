@@ -146,8 +146,8 @@ def test_the_three_conventions_of_npz(tmp_path):
     np.savez(tmp_path / "tlast.npz", np.moveaxis(spikes, 0, -1))
     np.savez(tmp_path / "ours.npz", spikes=spikes.astype(bool), arr_0=np.zeros(3))
     np.savez(tmp_path / "other.npz", frames=spikes)
-    for name in ("tfirst", "tlast", "ours"):
-        np.testing.assert_array_equal(read_recording(tmp_path / f"{name}.npz").spikes, spikes)
+    for name, size in (("tfirst", None), ("tlast", "7x5"), ("ours", None)):
+        np.testing.assert_array_equal(read_recording(tmp_path / f"{name}.npz", size=size).spikes, spikes)
     np.testing.assert_array_equal(read_recording(tmp_path / "other.npz", key="frames").spikes, spikes)
 
 
@@ -159,10 +159,10 @@ def test_the_size_tells_the_order_of_arr_0(tmp_path):
         np.testing.assert_array_equal(read_recording(tmp_path / f"{name}.npz", size="7x5").spikes, spikes)
 
 
-def test_arr_0_is_rows_columns_frames_where_the_size_fits_both(tmp_path):
-    spikes = some_spikes(5, 5, 5)
-    np.savez(tmp_path / "cube.npz", np.moveaxis(spikes, 0, -1))
-    np.testing.assert_array_equal(read_recording(tmp_path / "cube.npz", size="5x5").spikes, spikes)
+def test_arr_0_that_the_size_fits_both_ways_is_asked_about(tmp_path):
+    np.savez(tmp_path / "cube.npz", some_spikes(5, 5, 5))
+    with pytest.raises(InputError, match=r"5 frames of 5x5 .* or 5 frames of 5x5 .*: save it as .* 'spikes'"):
+        read_recording(tmp_path / "cube.npz", size="5x5")
 
 
 def test_hdf5_as_others_write_it(tmp_path):
@@ -213,16 +213,33 @@ def test_the_size_is_found_in_a_config_of_spikecv(tmp_path, folder):
     np.testing.assert_array_equal(read_recording(path).spikes, spikes)
 
 
-def test_the_argument_outweighs_the_name_and_the_name_the_config(tmp_path):
-    (tmp_path / "config.yaml").write_text("spike_w: 99\nspike_h: 99\n")
-    path = write_recording(tmp_path / "r_16x12.dat", some_spikes(height=12, width=16))
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_find_size_config_with_a_byte_order_mark_is_read(tmp_path, encoding):
+    path = write_recording(tmp_path / "r.dat", some_spikes(height=12, width=16))
+    (tmp_path / "config.yaml").write_text("spike_w: 16\nspike_h: 12\n", encoding=encoding)
     assert read_recording(path).shape == (12, 12, 16)
-    assert read_recording(path, size="32x12").shape == (6, 12, 32)
+
+
+def test_find_size_name_against_config_is_asked_about(tmp_path):
+    path = write_recording(tmp_path / "r_16x12.dat", some_spikes(height=12, width=16))
+    (tmp_path / "config.yaml").write_text("spike_w: 99\nspike_h: 99\n")
+    with pytest.raises(InputError, match=r"The name with the config\.yaml of .* holds 2 sizes \(16x12, 99x99\)"):
+        read_recording(path)
+    assert read_recording(path, size="16x12").shape == (12, 12, 16)
+    with pytest.raises(InputError, match="would be read back as frames of 16x12 or 99x99"):
+        write_recording(path, some_spikes(height=12, width=16))
+
+
+@pytest.mark.parametrize("size", ["32x12", "8x12", "16x6", "12x16", "16x24", "24x8", "48x4", "64x3", "4x4", "2x2"])
+def test_read_recording_size_against_the_name_is_warned_of(tmp_path, size):
+    path = write_recording(tmp_path / "r_16x12.dat", np.zeros((12, 12, 16), np.uint8))
+    with pytest.warns(UserWarning, match=f"size {size} was given and is taken, but its name says 16x12"):
+        read_recording(path, size=size)
 
 
 def test_a_size_the_other_way_round_is_remarked_on(tmp_path):
     path = write_recording(tmp_path / "r_16x12.dat", some_spikes(height=12, width=16))
-    with pytest.warns(UserWarning, match="size 12x16 was given, but.*says 16x12"):
+    with pytest.warns(UserWarning, match=r"size 12x16 was given.*but.*says 16x12; the size is WIDTHxHEIGHT"):
         assert read_recording(path, size="12x16").shape == (12, 16, 12)
 
 
@@ -269,7 +286,7 @@ def test_a_window_reads_its_bytes_only(tmp_path, monkeypatch):
     original = np.memmap
     monkeypatch.setattr(sources.np, "memmap", counting)
     recording = read_recording(path)
-    assert mapped == []
+    mapped.clear()  # what opening looks at
     recording.window(7, 10)
     assert mapped == [(7 * 24, 3 * 24)]
 

@@ -1,0 +1,89 @@
+"""Remarks on a flat file whose bits do not look like spikes of the size that it is read with.
+
+A flat file says nothing of itself, so bytes of any kind open at any size. What gives them away: pixels that fire
+without regard to when they last did (another kind of file, or frames of another length), frames of which each holds two
+(twice the height), and rows that do not agree with each other while those of another width do.
+"""
+
+import dataclasses
+import math
+
+from scsr_opt.camera.flat import likely_layouts, show_size
+from scsr_opt.camera.plausibility import better_width, regularities, regularity, unsaturated
+from scsr_opt.camera.sampling import rates_of, trains_of
+from scsr_opt.camera.sources import FlatLayout, FlatSource
+
+_MULTIPLES = (2, 3, 4)
+"""Times the height that frames may really have, where they were taken for a part of one."""
+_WARNED_FROM = 2000.0
+"""Coincidences that chance must make for a file to be called none of spikes: a standard deviation of 0.02."""
+_RANDOM_BELOW = 1.15
+"""Ratio above which pixels do not fire at random: they are very bright and very dark by turns, as they are where a fine
+pattern passes in too bright light."""
+_ONE_PIXEL_BELOW = 0.3
+"""Ratio below which half frames are of the same pixels: 0 to 0.11 in real recordings, two pixels have about 1."""
+_LONGEST_SIDE = 4
+"""Longer side of a size that is proposed, in shorter ones: cameras have up to 2.5."""
+_COMPARED_PIXELS = 1 << 17
+"""Pixels in the middle of a frame whose rows are compared: all of 250x400."""
+
+
+def remark(source: FlatSource) -> str | None:
+    """Sentence on bits that do not look like spikes of this size, with one that does; None if nothing is amiss."""
+    _, height, width = source.shape
+    if regularity(trains_of(source)).irregular and _fires_at_random(source):
+        why, better = (
+            "a pixel fires without regard to when it last did, which no spike camera does",
+            _better_frames(source),
+        )
+    elif _holds_two(source):
+        why, better = "each frame holds two, one above the other", (width, height // 2)
+    else:
+        why, better = "its rows do not agree with each other", _better_rows(source)
+        if better is None:
+            return None
+    advice = f"size {show_size(better)} looks right" if better else "check the size, and whether it is a recording"
+    return f"{source.path.name} does not look like spikes of {show_size((width, height))}: {why}; {advice}."
+
+
+def _fires_at_random(source: FlatSource) -> bool:
+    """Test of pixels that are not saturated: they fire without regard to when they last did."""
+    found = regularity(unsaturated(trains) for trains in trains_of(source))
+    return found.irregular and found.ratio < _RANDOM_BELOW and found.expected > _WARNED_FROM
+
+
+def _holds_two(source: FlatSource) -> bool:
+    """Test of a pixel and the one half a frame below it: they fire in turns, as one and the same pixel does."""
+    frames, height, width = source.shape
+    if height % 2 or source.layout.frame_bits(height) != height * source.layout.row_bits:
+        return False
+    packed = dataclasses.replace(source.layout, aligned=False)
+    halves = dataclasses.replace(source, shape=(2 * frames, height // 2, width), layout=packed)
+    # Two pixels that see opposite parts of a pattern that moves take turns as well, but only in the long run.
+    certain = [found for found in regularities(trains_of(halves)) if found.certain]
+    return bool(certain) and max(certain).ratio < _ONE_PIXEL_BELOW
+
+
+def _better_rows(source: FlatSource) -> tuple[int, int] | None:
+    """(width, height) of as many pixels, with rows that agree."""
+    pixels = source.shape[1] * source.shape[2]
+    rates = rates_of(source)
+    middle = rates[max(0, len(rates) - _COMPARED_PIXELS) // 2 :][:_COMPARED_PIXELS]
+    sides = range(math.isqrt(pixels // _LONGEST_SIDE), math.isqrt(pixels * _LONGEST_SIDE) + 1)
+    better = better_width(middle, source.shape[2], [side for side in sides if side and pixels % side == 0])
+    return (better, pixels // better) if better else None
+
+
+def _better_frames(source: FlatSource) -> tuple[int, int] | None:
+    """(width, height) of frames in which pixels fire as they should, of rows that agree if there are some."""
+    _, height, width = source.shape
+    length = source.path.stat().st_size
+    taller: list[tuple[tuple[int, int], FlatLayout]] = [
+        ((width, height * times), source.layout) for times in _MULTIPLES
+    ]
+    for size, layout in taller + likely_layouts(source.path, (width, height)):
+        frames = layout.frames(length, size[1])
+        other = dataclasses.replace(source, shape=(frames, size[1], size[0]), layout=layout)
+        if frames and regularity(trains_of(other)).regular:
+            return _better_rows(other) or size
+    return None

@@ -1,0 +1,172 @@
+"""Statistics of how far bits look like spikes, for what a file does not say: its axis of time, its size.
+
+A pixel of a spike camera gathers light until a threshold is reached, so soon after a spike it does not fire again (or,
+where it fires in more than half of the frames, two gaps do not follow each other): along time, spikes in frames next to
+each other are rarer than chance has it. Nothing of the kind holds along rows and columns, whose pixels started at
+random. And pixels above each other see nearly the same light as pixels beside each other do.
+
+For the first, coincidences are counted (`regularity`): lines of bits along an axis are cut into pieces, and the pairs
+of neighbours that are both set are compared with the number expected from how many bits of each piece are set. The
+ratio is 0 to 0.3 along time in real recordings and 1 to 1.2 along any other axis, for bits of another kind, and for
+frames of another size. For the second, `row_agreement` compares pixels a row apart.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Shaped, UInt8
+
+PIECES_FRAMES = (8, 16, 32)
+"""Frames of a piece of a line. Two spikes of a dark pixel need a long one, and light that changes a short one."""
+LEAST_EXPECTED = 200.0
+"""Coincidences that chance must make for a ratio to count: its standard deviation is then less than 0.1."""
+REGULAR_BELOW = 0.6
+"""Ratio below which lines are trains of an integrator: none along rows or columns was below 0.74 (docs/formats.md)."""
+IRREGULAR_ABOVE = 0.85
+"""Ratio above which lines are none: real recordings stay below 0.3."""
+SATURATED_FRAMES = 5
+"""Frames one after another in which a pixel that fires in all of them is taken for saturated. Where it goes in and out
+of saturation, as where a fine texture passes in too bright light, it fires without regard to when it last did."""
+AXIS_BLOCK = (64, 112, 112)
+"""Entries along each axis that are read, from the middle, to tell the axis of time."""
+SMOOTHED_PIXELS = 33
+"""Pixels along rows whose mean is taken off before rows are compared: the slow course of light agrees anywhere."""
+LEAST_AGREEMENT = 0.15
+"""Correlation of neighbours from which on a picture is one that rows can be told by (real ones: 0.19 to 0.95)."""
+LEAST_DEVIATIONS = 10.0
+"""The same for small sensors, in standard deviations of the correlation of unrelated pixels."""
+DISAGREEMENT = 0.4
+"""Fraction of the correlation of the right rows below which rows do not belong together: wrong ones are below 0.1."""
+
+
+class Regularity(NamedTuple):
+    """Coincidences of neighbours, as a fraction of those that chance would make, and the number of these."""
+
+    ratio: float
+    expected: float
+
+    @property
+    def certain(self) -> bool:
+        """True where there is enough to count."""
+        return self.expected >= LEAST_EXPECTED
+
+    @property
+    def regular(self) -> bool:
+        """True for trains of an integrator."""
+        return self.certain and self.ratio < REGULAR_BELOW
+
+    @property
+    def irregular(self) -> bool:
+        """True for lines that are no trains of an integrator. Where there is little to count neither is said."""
+        return self.certain and self.ratio > IRREGULAR_ABOVE
+
+
+UNKNOWN = Regularity(1.0, 0.0)
+
+
+def regularity(blocks: Iterable[Bool[np.ndarray, "n _"]]) -> Regularity:
+    """Regularity of blocks of lines of n bits: the lowest that pieces of several lengths give, if there are enough."""
+    found = regularities(blocks)
+    certain = [each for each in found if each.certain]
+    return min(certain) if certain else max(found, key=lambda each: each.expected)
+
+
+def regularities(blocks: Iterable[Bool[np.ndarray, "n _"]]) -> list[Regularity]:
+    """Regularity of blocks of lines of n bits, by pieces of each of `PIECES_FRAMES`."""
+    sums = np.zeros((len(PIECES_FRAMES), 2))
+    for lines in blocks:
+        sums += [_of_pieces(lines, length) for length in PIECES_FRAMES]
+    return [Regularity(float(seen / expected), float(expected)) if expected else UNKNOWN for seen, expected in sums]
+
+
+def unsaturated(lines: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "k l"]:
+    """Pieces of the lines in which no bits are set in as many frames one after another as only saturation sets them."""
+    length = min(len(lines), max(PIECES_FRAMES))
+    pieces = lines[: len(lines) // length * length].reshape(-1, length, lines.shape[1])
+    pieces = np.moveaxis(pieces, 1, 0).reshape(length, -1)
+    runs = pieces
+    for _ in range(min(SATURATED_FRAMES, length) - 1):
+        runs = runs[1:] & pieces[: len(runs) - 1]
+    return pieces[:, ~runs.any(axis=0)]
+
+
+def axis_regularity(stored: Any) -> tuple[Regularity, Regularity, Regularity]:
+    """Regularity along each of the three axes of an array or dataset of 0 and 1, from a block in its middle."""
+    middle = [
+        slice((length - size) // 2, (length - size) // 2 + size)
+        for length, size in ((n, min(n, most)) for n, most in zip(stored.shape, AXIS_BLOCK, strict=True))
+    ]
+    block = np.asarray(stored[tuple(middle)]) != 0
+    along = [regularity([np.moveaxis(block, axis, 0).reshape(block.shape[axis], -1)]) for axis in range(3)]
+    return (along[0], along[1], along[2])
+
+
+def contradiction(found: tuple[Regularity, ...], axis: int) -> int | None:
+    """Axis that is time by its content, if `axis` clearly is not; else None."""
+    others = [other for other in range(3) if other != axis and found[other].regular]
+    return others[0] if found[axis].irregular and len(others) == 1 else None
+
+
+def row_agreement(rates: Shaped[np.ndarray, "n"], widths: Iterable[int]) -> dict[int, tuple[float, float, float]]:
+    """Correlation of pixels one, two and three rows apart, for each of some widths.
+
+    **Arguments:**
+    - `rates`: spikes of the pixels of a frame or a part of it, row after row, whatever their width is.
+    - `widths`: each at most a quarter of them; the others are left out.
+    """
+    values = rates.astype(float)
+    half = SMOOTHED_PIXELS // 2
+    sums = np.cumsum(np.pad(values, (half + 1, half), mode="edge"))
+    values -= (sums[SMOOTHED_PIXELS:] - sums[:-SMOOTHED_PIXELS]) / SMOOTHED_PIXELS
+    energy = float((values * values).sum())
+
+    def correlation(lag: int) -> float:
+        return float((values[lag:] * values[:-lag]).sum()) / energy if energy else 0.0
+
+    return {
+        width: (correlation(width), correlation(2 * width), correlation(3 * width))
+        for width in widths
+        if 4 * width <= len(values)
+    }
+
+
+def better_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[int]) -> int | None:
+    """The one of some `others` whose rows agree, if those of `width` do not; None in all other cases."""
+    agreement = row_agreement(rates, {width, *others})
+    if width not in agreement:
+        return None
+    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / len(rates) ** 0.5)
+    best = max(agreement, key=lambda each: min(agreement[each]))
+    one, two, three = agreement[best]
+    # Further apart, rows agree less and less, and not all of a sudden.
+    if one < least or min(two, three) < one / 2:
+        return None
+    # Rows that lie a quarter of the period of a regular grating apart do not correlate, but those two apart then do.
+    next_one, next_but_one, _ = agreement[width]
+    return best if abs(next_one) < DISAGREEMENT * one and next_but_one > -DISAGREEMENT * one else None
+
+
+def _of_pieces(lines: Bool[np.ndarray, "n m"], length: int) -> tuple[float, float]:
+    """Coincidences in m lines of n bits cut into pieces of `length`, and how many chance would make.
+
+    The even and the odd entries of a piece are counted apart, so that lines which take turns at two pixels of different
+    brightness, as those of frames of half the right size do, are not taken for regular.
+    """
+    length = min(length, len(lines)) // 2 * 2
+    if length < 4 or lines.shape[1] == 0:
+        return 0.0, 0.0
+    pieces = len(lines) // length
+    bits = lines[: pieces * length].reshape(pieces, length, -1)
+    # Where a line fires in most frames its gaps are what is regular.
+    bits = bits ^ (_counts(bits) > length // 2)[:, None]
+    even, odd, half = bits[:, ::2], bits[:, 1::2], length // 2
+    # Pairs (0, 1), (2, 3), …, and (1, 2), (3, 4), …, one fewer of these.
+    seen = np.count_nonzero(even & odd) + np.count_nonzero(odd[:, :-1] & even[:, 1:])
+    expected = float((_counts(even).astype(np.int64) * _counts(odd)).sum()) * (length - 1) / half**2
+    return float(seen), expected
+
+
+def _counts(bits: Bool[np.ndarray, "k n m"]) -> UInt8[np.ndarray, "k m"]:
+    """Set bits along the second axis, of at most 255."""
+    return bits.view(np.uint8).sum(axis=1, dtype=np.uint8)

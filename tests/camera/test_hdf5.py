@@ -1,0 +1,110 @@
+"""HDF5 files as others leave them: links, filters that are not installed, files that are open elsewhere."""
+
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from scsr_opt.camera.formats import read_recording
+from scsr_opt.errors import InputError
+
+SPIKES = (np.random.default_rng(0).random((12, 5, 7)) < 0.5).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("target", "key"),
+    [("data/spikes", None), ("/data/spikes", None), ("data/spikes", "raw_spike"), ("data/spikes", "data/spikes")],
+)
+def test_read_recording_soft_links_are_followed(tmp_path, target, key):
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["data/spikes"] = SPIKES
+        file["raw_spike"] = h5py.SoftLink(target)
+    recording = read_recording(tmp_path / "r.h5", key=key)
+    np.testing.assert_array_equal(recording.window(2, 5), SPIKES[2:5])
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_read_recording_external_links_are_followed(tmp_path, absolute):
+    (tmp_path / "sub").mkdir()
+    with h5py.File(tmp_path / "sub" / "other.h5", "w") as file:
+        file["data/spikes"] = SPIKES
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["raw_spike"] = h5py.ExternalLink(
+            str(tmp_path / "sub" / "other.h5") if absolute else "sub/other.h5", "data/spikes"
+        )
+    np.testing.assert_array_equal(read_recording(tmp_path / "r.h5").spikes, SPIKES)
+
+
+def test_read_recording_links_to_groups_are_followed_and_circles_end(tmp_path):
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["data/spikes"] = SPIKES
+        file["data/again"] = h5py.SoftLink("/data")
+        file["data/root"] = h5py.SoftLink("/")
+        file["same"] = file["data"]
+        file["link"] = h5py.SoftLink("/data")
+    for key in ("data/spikes", "same/spikes", "link/spikes"):
+        np.testing.assert_array_equal(read_recording(tmp_path / "r.h5", key=key).spikes, SPIKES)
+    with pytest.raises(InputError, match=r"no array 'raw_spike', but data/spikes, link/spikes, same/spikes: say which"):
+        read_recording(tmp_path / "r.h5")
+
+
+@pytest.mark.parametrize(
+    "link",
+    [h5py.SoftLink("/nowhere"), h5py.ExternalLink("nowhere.h5", "/raw_spike"), h5py.ExternalLink("r.h5", "/nowhere")],
+)
+def test_read_recording_links_that_lead_nowhere_are_said(tmp_path, link):
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["raw_spike"] = link
+        file["other"] = SPIKES
+    with pytest.raises(InputError, match="holds 'raw_spike' as a link that leads nowhere: there is no /"):
+        read_recording(tmp_path / "r.h5")
+    np.testing.assert_array_equal(read_recording(tmp_path / "r.h5", key="other").spikes, SPIKES)
+
+
+def _filtered(path, code: int):
+    """A file whose chunks say that they went through a filter that is not installed."""
+    with h5py.File(path, "w") as file:
+        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plan.set_chunk(SPIKES.shape)
+        plan.set_filter(code, h5py.h5z.FLAG_OPTIONAL, (0,))
+        space = h5py.h5s.create_simple(SPIKES.shape)
+        stored = h5py.h5d.create(file.id, b"raw_spike", h5py.h5t.NATIVE_UINT8, space, plan)
+        stored.write_direct_chunk((0, 0, 0), SPIKES.tobytes(), filter_mask=0)
+    return path
+
+
+@pytest.mark.parametrize("code", [32001, 32004, 32008, 32015, 40000])
+def test_read_recording_a_missing_filter_is_not_called_damaged(tmp_path, code):
+    path = _filtered(tmp_path / "r.h5", code)
+    message = "compressed with a filter that is not installed.*hdf5plugin.*h5repack"
+    with pytest.raises(InputError, match=message) as caught:
+        read_recording(path)
+    assert "damaged" not in str(caught.value)
+
+
+def test_read_recording_a_locked_file_is_not_called_damaged(tmp_path):
+    path = tmp_path / "r.h5"
+    with h5py.File(path, "w") as file:
+        file["raw_spike"] = SPIKES
+    code = "import sys, h5py; f = h5py.File(sys.argv[1], 'a'); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline() == "open\n"
+        with pytest.raises(InputError, match="locked, another program has it open.*HDF5_USE_FILE_LOCKING") as caught:
+            read_recording(path)
+        assert other.stdin is not None
+        other.stdin.close()
+    assert "damaged" not in str(caught.value)
+    np.testing.assert_array_equal(read_recording(path).spikes, SPIKES)
+
+
+def test_read_recording_a_damaged_chunk_is_still_called_so(tmp_path):
+    path = tmp_path / "r.h5"
+    with h5py.File(path, "w") as file:
+        stored = file.create_dataset("raw_spike", SPIKES.shape, np.uint8, chunks=SPIKES.shape, compression="gzip")
+        stored.id.write_direct_chunk((0, 0, 0), b"no gzip at all")
+    with pytest.raises(InputError, match="damaged"):
+        read_recording(path)

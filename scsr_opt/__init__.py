@@ -6,6 +6,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from scsr_opt._kernels import forks as _forks  # noqa: F401  from the start on it takes note of forks
+
 if TYPE_CHECKING:
     from scsr_opt.camera.recording import Recording
     from scsr_opt.errors import InputError

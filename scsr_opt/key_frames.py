@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import pixel_gain, whole
@@ -75,6 +76,7 @@ def sequence(
 
     **Raises:** `InputError` as `reconstruct`, and for options that it finds itself.
     """
+    ready()
     for name in ("key", "state"):
         if name in options:
             raise InputError(f"sequence was given {name}; it finds that itself, picture by picture.")

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.camera.gain import gain_is_known, spread_of
 from scsr_opt.camera.gain_network import gain_at_rest
 from scsr_opt.camera.measuring import Intervals, Measuring
@@ -226,6 +227,7 @@ def prepare(
     keep_images: bool = False,
 ) -> Prepared:
     """All of `scsr_opt.reconstruct` before the first iteration; its arguments but `state`."""
+    ready()
     clock = Clock()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     height, width = recording.height, recording.width

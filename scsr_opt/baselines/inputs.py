@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.camera.recording import Recording, checked_white_rate
 from scsr_opt.inputs import picture_shape, whole
 from scsr_opt.motion.estimate import filled
@@ -57,6 +58,7 @@ def part_of(
 
     **Raises:** `InputError` if one of them cannot be used.
     """
+    ready()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)  # fits into memory

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
@@ -152,6 +153,7 @@ def run(
     **Errors:** `InputError` for a state of another solver or picture size, a first picture (or that of a state) that is
     not finite, or a prior that the solver cannot use.
     """
+    ready()
     begin = time.perf_counter()
     iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
     solver.check(problem.prior)

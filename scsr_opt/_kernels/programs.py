@@ -13,6 +13,7 @@ to it are dropped.
 import ctypes
 import functools
 import gc
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -84,9 +85,10 @@ def let_go() -> None:
     """Drops the compiled programs of this library and of JAX's own functions, and gives their memory back."""
     for program in _programs():
         program.clear_cache()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc, which else keeps most of it
-    if trim is not None:
-        trim(0)
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc, which else keeps most of it
+        if trim is not None:
+            trim(0)
 
 
 def compiled(function: Callable[P, T]) -> Callable[P, T]:

@@ -41,6 +41,7 @@ class Part(NamedTuple):
         """A playback with its bad pixels filled in from their neighbours."""
         if self.bad_pixels is None or not self.bad_pixels.any():
             return picture
+        ready()
         return np.asarray(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
 
 
@@ -58,7 +59,6 @@ def part_of(
 
     **Raises:** `InputError` if one of them cannot be used.
     """
-    ready()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)  # fits into memory

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from scsr_opt._kernels.programs import compiled
+from scsr_opt._kernels.programs import compiled, ready
 from scsr_opt.errors import InputError
 
 
@@ -114,6 +114,7 @@ def picture_shape(shape: tuple[int, int], name: str) -> tuple[int, int]:
 
 
 def _checked(x: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+    ready()
     x = jnp.asarray(x)
     if x.shape != shape:
         raise InputError(f"{name} was given an array of shape {x.shape}; it takes {shape}.")

@@ -5,6 +5,7 @@ import importlib
 import pkgutil
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,10 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import scsr_opt
 from scsr_opt._kernels import programs
-from scsr_opt.operators import Blur, spectral_norm
-from scsr_opt.priors import HuberTotalVariation, RidgeRegulariser, TotalVariation
+from scsr_opt.operators import Blur, norm_bound
+from scsr_opt.priors import HuberTotalVariation, TotalVariation
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -75,45 +75,43 @@ def test_let_go_drops_the_librarys_programs_and_no_others(heard):
 @pytest.mark.parametrize(
     "call",
     [
-        denoised,
         lambda shape: HuberTotalVariation().value(jnp.ones(shape)),
-        lambda shape: RidgeRegulariser.load().gradient(jnp.ones(shape)),
         lambda shape: Blur.gaussian(shape, 1.0)(np.ones(shape, np.float32)),
-        lambda shape: spectral_norm(Blur.gaussian(shape, 1.0)).value,
-        lambda shape: denoised(shape) + jnp.sum(jnp.ones(shape), axis=0),
+        lambda shape: norm_bound(Blur.gaussian(shape, 1.0)),
+        lambda shape: jnp.sum(jnp.ones(shape), axis=0) / 3,
     ],
-    ids=["prox", "value", "ridge", "operator", "norm", "JAX's own operations"],
+    ids=["prior", "operator", "norm", "operations of JAX itself"],
 )
 @pytest.mark.skipif(not programs.mappings(), reason="this system does not tell how many mappings there are")
 def test_many_shapes_take_bounded_room(room, monkeypatch, call: Callable[[tuple[int, int]], Any]):
-    """Thirty shapes, of which three fill the room: no more mappings than four take."""
-    programs.let_go()
+    """Twenty shapes, of which two fill the room."""
     call((8, 9))
+    programs.let_go()
     before = programs.mappings()
-    for n in range(3):
+    for n in range(2):
         call((9, 9 + n))
-    each = (programs.mappings() - before) / 3
+    each = (programs.mappings() - before) / 2
     assert each > 0
-    monkeypatch.setattr(programs, "_MOST_MAPPINGS", int(3 * each))
-    for n in range(30):
-        denoised((8, 9))  # passes `ready` where the call itself does not
+    monkeypatch.setattr(programs, "_MOST_MAPPINGS", int(2 * each))
+    for n in range(20):
+        programs.ready()
         call((10 + n, 11))
-    assert programs.mappings() - before < 7 * each
+    assert programs.mappings() - before < 6 * each
 
 
 def test_programs_are_counted_where_mappings_are_not(room, monkeypatch, heard):
     monkeypatch.setattr(programs, "mappings", lambda: 0)
-    monkeypatch.setattr(programs, "_MOST_MAPPINGS", 20 * programs._MAPPINGS_PER_PROGRAM)
+    monkeypatch.setattr(programs, "_MOST_MAPPINGS", 3 * programs._MAPPINGS_PER_PROGRAM)
     let_go, times = programs.let_go, []
     monkeypatch.setattr(programs, "let_go", lambda: (times.append(len(heard)), let_go()))
     heard.clear()
-    for n in range(30):
+    for n in range(12):
         denoised((8, 20 + n))
-    assert times and max(np.diff([0, *times])) < 40
+    assert len(times) > 2 and max(np.diff([0, *times])) < 12
 
 
 def test_shapes_that_return_compile_nothing(room, heard):
-    for turn in range(10):
+    for turn in range(5):
         if turn == 1:
             heard.clear()
         for width in (9, 10, 11):
@@ -135,13 +133,13 @@ def test_ready_does_not_look_where_nothing_was_compiled(room, monkeypatch):
 
 def test_programs_let_go_while_other_threads_compile_and_run():
     """Every result is right, whatever was let go meanwhile."""
-    shapes = [(6 + n, 7 + n % 3) for n in range(6)]
+    shapes = [(6 + n, 7 + n % 3) for n in range(4)]
     expected = [np.asarray(denoised(shape)) for shape in shapes]
     wrong: list[object] = []
     stop = threading.Event()
 
     def work(offset: int) -> None:
-        for n in range(4 * len(shapes)):
+        for n in range(2 * len(shapes)):
             k = (n + offset) % len(shapes)
             try:
                 if not np.array_equal(np.asarray(denoised(shapes[k])), expected[k]):
@@ -152,8 +150,9 @@ def test_programs_let_go_while_other_threads_compile_and_run():
     def clear() -> None:
         while not stop.is_set():
             programs.let_go()
+            time.sleep(0.05)
 
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(3)]
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(2)]
     cleaner = threading.Thread(target=clear)
     for thread in (*threads, cleaner):
         thread.start()
@@ -167,7 +166,6 @@ def test_programs_let_go_while_other_threads_compile_and_run():
 @pytest.mark.parametrize("package", ["scsr_opt", "learned"])
 def test_every_jitted_function_of_the_library_is_found(package):
     """Those of modules and classes, by another way than the one under test."""
-    found = {id(program) for program in programs._programs()}
     missed, jitted = [], 0
     for info in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
         if not info.name.endswith("__main__"):
@@ -185,7 +183,3 @@ def test_every_jitted_function_of_the_library_is_found(package):
                     if id(program) not in found and str(getattr(thing, "__module__", "")).startswith(package):
                         missed.append(f"{name}.{key}.{member}")
     assert jitted > 5 and not missed
-
-
-def test_the_packages_own_import_starts_no_jax():
-    assert scsr_opt._forks.__name__ == "scsr_opt._kernels.forks"

@@ -130,7 +130,7 @@ def _is_own(function: Any) -> bool:
     return str(getattr(function, "__module__", "")).split(".")[0] in _OWNERS
 
 
-def _count(event: str, seconds: float, **_: Any) -> None:
+def _count(event: str, duration_secs: float, **_: Any) -> None:
     if event == _COMPILED_EVENT:
         _room.compiled += 1
 

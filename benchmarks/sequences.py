@@ -3,8 +3,8 @@
     python -m benchmarks.sequences FILE[:WIDTHxHEIGHT] [--pictures 20] [--step 5] [--scale 4] [--first 50] [--rounds 2]
 
 In turns, after a first of each that compiles: the sequence; as many pictures from scratch; and as many from scratch by
-the full computation (`Shortcuts.none()`). The table gives the seconds per picture (a sequence prepares the next picture while
-it solves, so that only the whole can be timed), medians of the rounds; how many times as long each takes as the
+the full computation (`Shortcuts.none()`). The table gives the seconds per picture (a sequence prepares the next picture
+while it solves, so that only the whole can be timed), medians of the rounds; how many times as long each takes as the
 sequence; iterations; and by how much pictures of the sequence differ from each: the largest change of the mean of a
 tile of 16 sensor pixels and the root mean square, both in 1/255 of white. Those are mostly differences of the motion
 that was estimated; so below it stands, of every fifth picture, how far it is from the full computation with its motion,

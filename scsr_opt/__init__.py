@@ -6,4 +6,6 @@ problem alone, for a solver or a prior of one's own. `scsr_opt.camera` reads rec
 
 import lazy_loader
 
+from scsr_opt._kernels import forks as _forks  # noqa: F401  registers its handlers before a script can fork
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,6 +15,7 @@ from learned.networks.spikesr import SpikeSRNet
 from learned.networks.unrolled_ista import UnrolledISTA
 from learned.networks.unrolled_ista_pase import SpikeInputs, UnrolledPASE, make_spike_inputs
 from learned.training.checkpoint import Card
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 
@@ -60,6 +61,7 @@ def call(
 
 def run(made: Call) -> Run:
     """The pictures of a network."""
+    ready()
     return _compiled()(made.function, made.arguments)
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Shaped
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import picture_shape, pixel_gain, whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.motion.trajectory import Motion
@@ -77,6 +78,7 @@ def reference_clip(
 
     **Raises:** `InputError` if something handed in cannot be used.
     """
+    ready()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording, checked_white_rate
 from scsr_opt.motion.estimators.frames import filled
@@ -40,6 +41,7 @@ class Part(NamedTuple):
         """A playback with its bad pixels filled in from their neighbours."""
         if self.bad_pixels is None or not self.bad_pixels.any():
             return picture
+        ready()
         return np.asarray(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
 
 

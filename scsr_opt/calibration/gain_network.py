@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.camera.recording import READOUT_RATE, checked_settings
 from scsr_opt.camera.samples import mean_light
 from scsr_opt.camera.saturation import spike_counts
@@ -156,6 +157,7 @@ def gain_at_rest(
 
     **Raises:** `InputError` if `white_rate` is not above 0, or `bad_pixels` no such mask.
     """
+    ready()
     bad = checked_settings(spikes.shape, READOUT_RATE, white_rate, bad_pixels)["bad_pixels"]
     if len(spikes) < 2:
         return np.ones(spikes.shape[1:], np.float32)

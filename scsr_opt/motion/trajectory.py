@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.motion.inversion import (
     ROUNDING,
@@ -362,6 +363,7 @@ def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Traject
     With layers, a pixel sees the nearest one that comes to lie there; where there is none, what it sees was hidden in
     the key frame, and `visible` is 0.
     """
+    ready()
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
     if motion.trust is None and not motion.moves:
         moments = moments[:1]  # nothing moves: one moment serves all

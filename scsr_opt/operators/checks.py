@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.operators.operator import LinearOperator
 
@@ -56,6 +57,7 @@ def dot_test(
 
     **Returns:** `DotTest`; it does not raise when the test fails.
     """
+    ready()
     key_x, key_y = jax.random.split(jax.random.key(0) if key is None else key)
     x = jax.random.normal(key_x, operator.input_shape, dtype)
     y = jax.random.normal(key_y, operator.output_shape, dtype)
@@ -125,6 +127,7 @@ def spectral_norm(
     """
     if iterations < 1:
         raise InputError(f"spectral_norm was given {iterations} iterations; it needs at least 1.")
+    ready()
     shape = _shape(operator, shape, "spectral_norm")
     start = jax.random.normal(jax.random.key(0) if key is None else key, shape, dtype)
     # As arrays, so that other values of them compile nothing again.
@@ -181,20 +184,21 @@ def norm_bound(
     """
     if iterations < 1:
         raise InputError(f"norm_bound was given {iterations} iterations; it needs at least 1.")
+    ready()
     start = jnp.ones(_shape(operator, shape, "norm_bound"), dtype)
-    if symmetric:
-        return _ratio_bound(operator, start, jnp.asarray(iterations, jnp.int32))
-    return jnp.sqrt(_ratio_bound(_normal(operator, start), start, jnp.asarray(iterations, jnp.int32)))
+    bound = _ratio_bound(operator, start, jnp.asarray(iterations, jnp.int32), symmetric)
+    return bound if symmetric else jnp.sqrt(bound)
 
 
 @eqx.filter_jit
-def _ratio_bound(operator: Callable[[Array], Array], start: Array, iterations: Int[Array, ""]) -> Float[Array, ""]:
-    """Of ρ(A) for an operator A without negative entries."""
+def _ratio_bound(operator, start: Array, iterations: Int[Array, ""], symmetric: bool) -> Float[Array, ""]:
+    """An upper bound on ρ(A) of an operator A without negative entries, or on ρ(A*A)."""
+    applied = operator if symmetric else _normal(operator, start)
     tiny = jnp.finfo(start.dtype).tiny
 
     def step(_: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         x, _ = state
-        image = operator(x)
+        image = applied(x)
         # Where the image is 0 its row is 0 wherever x is not, and bounds nothing.
         ratio = jnp.max(jnp.where(image > 0, image / x, 0))
         return image / jnp.maximum(jnp.max(image), tiny), ratio

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled, ready
 from scsr_opt.errors import InputError
 
 
@@ -47,11 +48,11 @@ class LinearOperator(eqx.Module):
 
     def __call__(self, x: ArrayLike) -> Float[Array, "..."]:
         """A x, in the dtype of x."""
-        return self._forward(_checked(x, self.input_shape, type(self).__name__))
+        return _forward(self, _checked(x, self.input_shape, type(self).__name__))
 
     def adjoint(self, y: ArrayLike) -> Float[Array, "..."]:
         """A* y, in the dtype of y."""
-        return self._adjoint(_checked(y, self.output_shape, f"{type(self).__name__}.adjoint"))
+        return _adjoint(self, _checked(y, self.output_shape, f"{type(self).__name__}.adjoint"))
 
     def normal(self, x: ArrayLike) -> Float[Array, "..."]:
         """A* A x, in the dtype of x."""
@@ -94,6 +95,16 @@ class Composition(LinearOperator):
         return self.inner.adjoint(self.outer.adjoint(y))
 
 
+@compiled
+def _forward(operator: LinearOperator, x: Float[Array, "..."]) -> Float[Array, "..."]:
+    return operator._forward(x)
+
+
+@compiled
+def _adjoint(operator: LinearOperator, y: Float[Array, "..."]) -> Float[Array, "..."]:
+    return operator._adjoint(y)
+
+
 def picture_shape(shape: tuple[int, int], name: str) -> tuple[int, int]:
     """`shape` as two plain positive integers, or an `InputError` that names the operator which was given it."""
     sizes = tuple(shape)
@@ -103,6 +114,7 @@ def picture_shape(shape: tuple[int, int], name: str) -> tuple[int, int]:
 
 
 def _checked(x: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+    ready()
     x = jnp.asarray(x)
     if x.shape != shape:
         raise InputError(f"{name} was given an array of shape {x.shape}; it takes {shape}.")

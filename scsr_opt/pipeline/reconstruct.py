@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.saturation import share_saturated, spike_counts
@@ -96,6 +97,7 @@ def assemble(
 
 def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIndex | None, options: Options) -> Task:
     """The clip around a key frame with its validated options. **Raises:** `InputError` for what cannot be used."""
+    ready()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     options = options.validated(recording, scale)

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
@@ -82,6 +83,7 @@ def reconstruct_sequence(
     **Raises:** `InputError` as `reconstruct`, for `key` and `state`, which are found picture by picture, and, when it
     is called, for keys that are no frames of the recording.
     """
+    ready()
     for name in ("key", "state"):
         if name in changes:
             raise InputError(f"reconstruct_sequence was given {name}; it finds that itself, picture by picture.")

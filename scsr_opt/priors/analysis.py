@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.checks import divisible
 from scsr_opt.priors.prior import Prior, State
 
@@ -114,8 +115,9 @@ class Analysis(Prior[State], Generic[State]):
 
         **Returns:** the minimiser, and the dual variable to start from next time.
         """
-        return self.prox_within(image, strength, state, lambda picture: picture)
+        return self.prox_within(image, strength, state, _unbounded)
 
+    @compiled
     def prox_within(
         self,
         image: Float[Array, "H W"],
@@ -184,6 +186,10 @@ class Analysis(Prior[State], Generic[State]):
         products = sum(jax.tree.leaves(jax.tree.map(lambda z, p: z * p, field, state)))
         # Summed last: term by term little is lost to cancellation.
         return strength * jnp.sum(self.penalties(field) + self.conjugates(state) - products)
+
+
+def _unbounded(image: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    return image
 
 
 def leaf_by_leaf(step: Callable[..., State], *given: Any) -> State:

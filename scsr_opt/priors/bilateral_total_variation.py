@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.checks import positive, whole
 
@@ -71,6 +72,7 @@ class BilateralTotalVariation(Analysis[Array]):
 
         return jnp.stack([difference(*shift) for shift in self._shifts])
 
+    @compiled
     def adjoint(self, field: Float[Array, "shifts H W"]) -> Float[Array, "H W"]:
         """K* field, relying on the zeros of pixels without a partner."""
         reach, shape = self.radius, field.shape[1:]

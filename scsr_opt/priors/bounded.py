@@ -10,6 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.checks import whole
@@ -101,6 +102,7 @@ class Bounded(Prior[BoundedState]):
         """The prior's own, and nothing held back."""
         return BoundedState(self.prior.initial_state(image), jnp.zeros_like(image))
 
+    @compiled
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, "*pixels"], state: BoundedState
     ) -> tuple[Float[Array, "H W"], BoundedState]:

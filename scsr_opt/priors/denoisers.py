@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import positive, whole
 
@@ -35,6 +36,7 @@ class NumpyDenoiser(eqx.Module):
 
     function: Callable[[np.ndarray, float], np.ndarray] = eqx.field(static=True)
 
+    @compiled
     def __call__(self, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
         def on_host(words: Array, of_sigma: Array) -> np.ndarray:
             picture, level = _numbers(words, image.dtype), _numbers(of_sigma, sigma.dtype)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.checks import positive, whole
 from scsr_opt.priors.denoisers import Denoiser, denoised
 from scsr_opt.priors.prior import Prior
@@ -55,6 +56,7 @@ class RED(Prior[Array]):
         non-local means, σ from 0.01 to 0.05 (docs/measurements.md)."""
         return 1.5 / self.sigma
 
+    @compiled
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """½ ⟨image, image − D(image)⟩."""
         return jnp.sum(image * (image - self._denoised(image))) / 2
@@ -63,6 +65,7 @@ class RED(Prior[Array]):
         """The image: where the fixed-point iteration starts."""
         return image
 
+    @compiled
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: Float[Array, "H W"]
     ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:

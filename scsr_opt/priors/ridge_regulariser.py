@@ -18,6 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import positive
 from scsr_opt.priors.prior import Prior
@@ -152,6 +153,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         """Ψ of the picture that the proximal step gave, which came with it."""
         return state.value
 
+    @compiled
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: RidgeState
     ) -> tuple[Float[Array, "H W"], RidgeState]:

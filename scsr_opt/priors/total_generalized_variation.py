@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.checks import divisible, positive, whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.total_variation import Dual, gradient, gradient_adjoint, lengths, to_unit_ball
@@ -76,6 +77,7 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
         self.iterations = whole("TotalGeneralizedVariation", iterations, "iterations")
         self.value_iterations = whole("TotalGeneralizedVariation", value_iterations, "iterations of the value")
 
+    @compiled
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """Ψ(image), from above, to the accuracy of `value_iterations`."""
         slopes = gradient(image)
@@ -100,6 +102,7 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
         zero = jnp.zeros_like(image)
         return SlopeState(Dual(zero, zero), Dual(zero, zero), Bending(zero, zero, zero))
 
+    @compiled
     def prox(
         self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""], state: SlopeState
     ) -> tuple[Float[Array, "H W"], SlopeState]:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import finite
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
@@ -97,6 +98,7 @@ class ADMM(Solver[ADMMState]):
             step_size=1 / lipschitz,
         )
 
+    @compiled
     def step(self, problem: Problem, state: ADMMState) -> tuple[ADMMState, Record]:
         splitting, λ, ρ, α = splitting_of(problem.prior), problem.strength, state.penalty, self.relaxation
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.loop import Record
@@ -61,6 +62,7 @@ class DataProximal(ProximalGradient):
         step_size = 1 / jnp.maximum(steepest, _FLATTEST * lipschitz_bound(problem.data))
         return self._first(problem, image, gradient=image, step_size=step_size)  # that of f is not looked at
 
+    @compiled
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         τ, ahead = state.step_size, state.ahead
         gradient_step = ahead - τ * problem.strength * problem.prior.gradient(ahead)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.checks import whole
@@ -51,6 +52,7 @@ def implicit_minimiser(
 
     **Errors:** `InputError` for another prior, or fewer than one iteration.
     """
+    ready()
     if not isinstance(problem.prior, Analysis | RidgeRegulariser):
         raise InputError(
             f"implicit_minimiser was given {type(problem.prior).__name__}; it needs an Analysis prior such as "

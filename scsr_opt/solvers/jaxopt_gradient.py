@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.checks import whole
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers.loop import Record, Solver
@@ -65,6 +66,7 @@ class _Jaxopt(Solver[JaxoptState]):
     def retargeted(self, problem: Problem, before: Problem, state: JaxoptState) -> JaxoptState:
         return state  # jaxopt takes every gradient anew
 
+    @compiled
     def step(self, problem: Problem, state: JaxoptState) -> tuple[JaxoptState, Record]:
         β = state.step_size
         ahead = state.inner.velocity if self._accelerated else state.image

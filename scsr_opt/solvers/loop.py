@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
@@ -159,6 +160,7 @@ def run(
     **Errors:** `InputError` for a state of another solver or picture size, a first picture (or that of a state) that is
     not finite, or a prior that the solver cannot use.
     """
+    ready()
     begin = time.perf_counter()
     image, problem = problem.start if image is None else image, dataclasses.replace(problem, start=None)
     if image is None:

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import finite
 from scsr_opt.solvers.linear_solve import ConjugateGradients, LinearSolve
@@ -68,6 +69,7 @@ class _PrimalDual(Solver[PrimalDualState]):
         gradient = problem.data.gradient(image)
         return PrimalDualState(image, dual, back, image, gradient, dual, back, lipschitz)
 
+    @compiled
     def step(self, problem: Problem, state: PrimalDualState) -> tuple[PrimalDualState, Record]:
         splitting, λ, over = splitting_of(problem.prior), problem.strength, self._over
         τ, σ = self._primal(state.lipschitz), self.balance.dual(state.lipschitz, splitting.norm_squared)

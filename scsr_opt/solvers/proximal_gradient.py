@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem
@@ -101,6 +102,7 @@ class _PriorProximal(ProximalGradient):
             problem, image, gradient=problem.data.gradient(image), step_size=self.step_size.first(problem)
         )
 
+    @compiled
     def step(self, problem: Problem, state: ProximalGradientState) -> tuple[ProximalGradientState, Record]:
         step = self._step(problem, state)
         image, β = step.image, step.step_size

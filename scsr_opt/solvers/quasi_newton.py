@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.priors.checks import whole
@@ -127,6 +128,7 @@ class Smooth(Solver[SmoothState]):
         inner, _ = eqx.partition(self._begin(state.objective(problem), image), eqx.is_array)
         return state._replace(inner=inner)
 
+    @compiled
     def step(self, problem: Problem, state: SmoothState) -> tuple[SmoothState, Record]:
         # The state holds functions, too, always the same: those of a state that is thrown away.
         objective = state.objective(problem)

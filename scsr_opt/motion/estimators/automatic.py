@@ -11,6 +11,7 @@ from scipy import ndimage
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
+from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.dense import accelerated, dense
@@ -337,6 +338,7 @@ def estimate_motion(
 def motion_in(pictures: MotionFrames, estimator: Estimator | None = None) -> Motion:
     """The motion (h, w) that these pictures (`comparable`) show by `estimator`, `Automatic` if not given, with its
     trust."""
+    ready()
     motion = (Automatic() if estimator is None else estimator)(pictures)
     return trusted(pictures, motion)
 
@@ -351,6 +353,7 @@ def comparable(
 ) -> MotionFrames | None:
     """The recording as pictures (`stretches`) in which what differs has moved: over the gains, bad pixels filled. None
     where no motion can be seen, in fewer than three frames or a single row or column."""
+    ready()
     frames, height, width = spikes.shape
     if frames < 3 or min(height, width) < 2:
         return None

@@ -1,0 +1,139 @@
+"""Compiled programs, so bounded that they neither fill the memory nor run into the kernel's limit of mappings.
+
+XLA compiles a program for each shape, and JAX keeps all of them. One size of sensor leaves some sixty programs: 100 MB,
+and 1,750 memory mappings, of which Linux lets a process have 65,530 (`vm.max_map_count`) before it ends it. So what
+is called from outside passes `ready`, which looks how much room programs have taken, and lets them go where that is too
+much: those of this library and of JAX's own functions, never those of functions that somebody else has jitted. They are
+compiled again when they are needed. Where nothing has been compiled since the last look, looking costs nothing.
+
+A program that is running, or being compiled by another thread, is held by whoever runs it: only the caches' references
+to it are dropped.
+"""
+
+import ctypes
+import functools
+import gc
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+import jax.monitoring
+import jax.numpy as jnp
+
+from scsr_opt._kernels.forks import refuse_fork
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+# A quarter of Linux's limit: the programs of nine sizes of sensor, so that whoever alternates between a few never
+# compiles again, and as much room again for the programs of others.
+_MOST_MAPPINGS = 16_000
+# Mappings of a program, in the mean of those of a `reconstruct`. For systems that do not tell how many there are, and
+# for accelerators, whose programs take room elsewhere.
+_MAPPINGS_PER_PROGRAM = 30
+_COMPILED_EVENT = "/jax/core/compile/backend_compile_duration"
+# Whose programs are let go: JAX's own are those of operations outside `jit`, one for each shape.
+_OWNERS = ("scsr_opt", "learned", "jax")
+
+
+class _Room:
+    """What programs have taken since they were let go last."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+        self.compiled = 0  # programs, by anybody
+        self.looked_at = 0
+        self.begin = 0
+        self.floor = mappings()
+
+    @property
+    def full(self) -> bool:
+        programs = _MAPPINGS_PER_PROGRAM * (self.compiled - self.begin)
+        return max(programs, mappings() - self.floor) > _MOST_MAPPINGS
+
+
+def mappings() -> int:
+    """Memory mappings of this process; 0 where the system does not tell."""
+    try:
+        return Path("/proc/self/maps").read_bytes().count(b"\n")
+    except OSError:
+        return 0
+
+
+def ready() -> None:
+    """To be called first by whatever compiles or runs programs and is called from outside.
+
+    **Raises:** `InputError` in a forked process, where programs cannot be run (`scsr_opt._kernels.forks`).
+    """
+    refuse_fork()
+    if _room.compiled == _room.looked_at or not _room.lock.acquire(blocking=False):
+        return
+    try:
+        _room.looked_at = _room.compiled
+        if _room.full:
+            let_go()
+            _room.begin, _room.floor = _room.compiled, mappings()
+    finally:
+        _room.lock.release()
+
+
+def let_go() -> None:
+    """Drops the compiled programs of this library and of JAX's own functions, and gives their memory back."""
+    for program in _programs():
+        program.clear_cache()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc, which else keeps most of it
+        if trim is not None:
+            trim(0)
+
+
+def compiled(function: Callable[P, T]) -> Callable[P, T]:
+    """`function` compiled as by `eqx.filter_jit`, for what is called outside `jit` as well as within.
+
+    A loop whose body is a closure is compiled anew at each call outside `jit`. Python numbers among the arguments, but
+    for the first (the object of a method), are traced: other values compile nothing anew.
+    """
+    program: Any = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*given: P.args, **named: P.kwargs) -> T:
+        ready()
+        first, rest = given[:1], map(_traceable, given[1:])
+        return program(*first, *rest, **{name: _traceable(value) for name, value in named.items()})
+
+    return call
+
+
+def _traceable(value: Any) -> Any:
+    return jnp.asarray(value) if type(value) in (int, float) else value
+
+
+_JITTED = type(jax.jit(lambda: None))
+_FILTERED = type(eqx.filter_jit(lambda: None))
+
+
+def _programs() -> Iterator[Any]:
+    """The jitted functions of `_OWNERS`, wherever they are kept."""
+    for thing in gc.get_objects():
+        kind = type(thing)
+        if kind is _JITTED and _is_own(thing):
+            yield thing
+        elif kind is _FILTERED and _is_own(thing.__wrapped__):
+            yield thing._cached  # Equinox offers no other way to it
+
+
+def _is_own(function: Any) -> bool:
+    return str(getattr(function, "__module__", "")).split(".")[0] in _OWNERS
+
+
+def _count(event: str, duration_secs: float, **_: Any) -> None:
+    if event == _COMPILED_EVENT:
+        _room.compiled += 1
+
+
+_room = _Room()
+jax.monitoring.register_event_duration_secs_listener(_count)

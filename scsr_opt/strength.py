@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
 from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.sparse import sparse_pixels
 from scsr_opt.camera.threads import in_threads
 from scsr_opt.errors import InputError
 from scsr_opt.held_out import MOVED, STRETCH, held_out, light_at_rest
@@ -82,14 +83,14 @@ def relative_strength(prior: Prior) -> float:
 
 def noise_of_mean(stream: Stream) -> float:
     """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
-    a sample of the pixels, every second row and column or fewer.
+    a sample of the pixels (`sparse_pixels`), every second row and column or fewer.
 
     Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
     chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
     """
     apart = max(2, round((stream.spikes[0].size / _SAMPLED) ** 0.5))
-    few = stream.spikes[:, ::apart, ::apart]
-    bad = None if stream.bad_pixels is None else stream.bad_pixels[::apart, ::apart]
+    few = sparse_pixels(stream.spikes, apart)
+    bad = None if stream.bad_pixels is None else sparse_pixels(stream.bad_pixels, apart)
     samples = spike_intervals(few, white_rate=stream.white_rate, bad_pixels=bad, ends=0)
     follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
     difference = (samples.value[1:] - samples.value[:-1])[follows]

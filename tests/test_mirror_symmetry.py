@@ -103,7 +103,7 @@ def test_measured_positions_of_a_turned_recording_are_turned(turn, velocity):
     """Round velocities, by which an exposure moves by just what asks for more positions."""
 
     def found(spikes: np.ndarray, velocity: tuple[float, float]) -> tuple[Samples, np.ndarray, np.ndarray]:
-        field = np.ones((2, *spikes.shape[1:]), np.float32) * np.float32(velocity)[:, None, None]
+        field = np.ones((2, *spikes.shape[1:]), np.float32) * np.array(velocity, np.float32)[:, None, None]
         motion = Motion.of_velocity(field, np.ones(spikes.shape[1:], np.float32))
         taken = measured(Stream(spikes, 20, 0.6, None), motion, scale=2, measuring=Intervals())
         number = taken.samples.row.size
@@ -112,7 +112,8 @@ def test_measured_positions_of_a_turned_recording_are_turned(turn, velocity):
     def by_pixel(spikes: np.ndarray, velocity: tuple[float, float]) -> np.ndarray:
         samples, positions, weight = found(spikes, velocity)
         sums = np.zeros((2, *spikes.shape[1:]))
-        np.add.at(sums, (slice(None), samples.row, samples.column), np.stack([positions, weight]))
+        for total, of in zip(sums, (positions, weight), strict=True):
+            np.add.at(total, (np.asarray(samples.row), np.asarray(samples.column)), of)
         return sums
 
     spikes = recorded(velocity, side=20)

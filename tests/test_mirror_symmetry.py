@@ -112,8 +112,8 @@ def test_measured_positions_of_a_turned_recording_are_turned(turn, velocity):
     def by_pixel(spikes: np.ndarray, velocity: tuple[float, float]) -> np.ndarray:
         samples, positions, weight = found(spikes, velocity)
         sums = np.zeros((2, *spikes.shape[1:]))
-        for total, of in zip(sums, (positions, weight), strict=True):
-            np.add.at(total, (np.asarray(samples.row), np.asarray(samples.column)), of)
+        for k, of in enumerate((positions, weight)):
+            np.add.at(sums[k], (np.asarray(samples.row), np.asarray(samples.column)), of)
         return sums
 
     spikes = recorded(velocity, side=20)

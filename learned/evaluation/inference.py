@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from learned.evaluation.reference_problem import ReferenceClip
 from learned.networks.inputs import Inputs, make_inputs
+from learned.networks.layers import continued
 from learned.networks.spikesr import SpikeSRNet
 from learned.networks.unrolled_ista import UnrolledISTA
 from learned.networks.unrolled_ista_pase import SpikeInputs, UnrolledPASE, make_spike_inputs
@@ -107,10 +108,15 @@ def _spikesr(
     white_rate: Float[Array, ""],
     start: Float[Array, "H W"] | None,
 ) -> Run:
+    (wide, within), scale = continued(spikes), net.config.scale
     if start is None:
         # What is calculated here and again in the call is the same to the compiler, which does it once.
-        start = net.initial(net.encode(spikes, key_frame, white_rate))
-    return Run(start, *net(spikes, key_frame, white_rate, start))
+        start = net.initial(net.encode(wide, key_frame, white_rate))
+    else:
+        start, _ = continued(start, scale)
+    rows, columns = (slice(scale * side.start, scale * side.stop) for side in within)
+    found = Run(start, *net(wide, key_frame, white_rate, start))
+    return jax.tree.map(lambda pictures: pictures[..., rows, columns], found)
 
 
 @eqx.filter_jit

@@ -8,7 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
+
+# Sensor pixels a side that a SpikeSR-Net is given at least. Its convolutions see zeros beyond a border, which it has
+# learned to live with on one side at a time: of `spikesr-small` 1×1 sensors came out 17 % too dark, 1×16 3 %, 2×2 1 %.
+LEAST_SIDE = 8
 
 # The slope of the activations where they are negative: small, but no unit can fall silent for good.
 _LEAK = 0.1
@@ -22,6 +26,19 @@ def at_least_float32(dtype: DTypeLike) -> DTypeLike:
 def leaky(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """max(x, x/10), the activation everywhere but in the gates."""
     return jnp.where(x >= 0, x, _LEAK * x)
+
+
+def continued(x: Shaped[Array, "*n h w"], unit: int = 1) -> tuple[Shaped[Array, "*n k l"], tuple[slice, slice]]:
+    """Small pictures with their mirror images around them, `LEAST_SIDE` units a side at least, and the rows and columns
+    of the result that they are themselves.
+
+    **Arguments:** `unit`: pixels of `x` to one that counts, such as the scale where `x` is of the high resolution.
+    """
+    more = [max(LEAST_SIDE * unit - length, 0) for length in x.shape[-2:]]
+    before = [missing // 2 // unit * unit for missing in more]
+    rows, columns = (slice(begin, begin + length) for begin, length in zip(before, x.shape[-2:], strict=True))
+    border = [(0, 0)] * (x.ndim - 2) + [(begin, whole - begin) for begin, whole in zip(before, more, strict=True)]
+    return (jnp.pad(x, border, mode="symmetric") if any(more) else x), (rows, columns)
 
 
 def convolution(

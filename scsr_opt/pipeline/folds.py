@@ -26,12 +26,9 @@ SHARE, STRETCH = 5, 8
 def held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
     """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `merged`: whether samples
     are stretches of time already where nothing moves."""
-    height, width = moved.shape
-    down, right = np.arange(height, dtype=np.int32)[:, None], np.arange(width, dtype=np.int32)
-    pixel = np.asarray(samples.row) * np.int32(width) + np.asarray(samples.column)
-    whole = moved >= MOVED
-    # A knight's move apart: no two neighbours.
-    held = (whole & ((2 * down + right) % SHARE == 0)).reshape(-1)[pixel]
+    pixel = np.asarray(samples.row) * np.int32(moved.shape[1]) + np.asarray(samples.column)
+    whole, phase = moved >= MOVED, _phase(moved.shape)
+    held = (whole & (phase % SHARE == 0)).reshape(-1)[pixel]
     if whole.all():
         return held
     duration = np.asarray(samples.stop - samples.start)
@@ -40,14 +37,20 @@ def held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool 
     resting = np.flatnonzero(~whole.reshape(-1)[pixel])
     start, stop = (np.asarray(of)[resting] for of in (samples.start, samples.stop))
     stretch = np.floor((start + stop) / (2 * length)).astype(np.int32)
-    held[resting] = (stretch + _phase(moved.shape).reshape(-1)[pixel[resting]]) % SHARE == 0
+    held[resting] = (stretch + phase.reshape(-1)[pixel[resting]]) % SHARE == 0
     return held
 
 
 def _phase(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
-    """From pixel to pixel another stretch, so that no time is missing."""
-    rows, columns = np.indices(shape, np.int32)
-    return 7 * rows + 3 * columns
+    """A number for each pixel: that of a pixel that is held out is 0 modulo `SHARE`, or of the stretch of time that is,
+    another from pixel to pixel, so that no time is missing.
+
+    Pixels of one number are a knight's move apart, so that no two are neighbours but across the middle of a side of
+    even length. Counted from the border inwards, by the farther and the nearer of the two distances: of a mirrored or
+    turned recording the same samples are held out. Which ones are moves λ by a tenth, and a picture by 0.02.
+    """
+    rows, columns = (np.minimum(np.arange(n), np.arange(n)[::-1]).astype(np.int32) for n in shape)
+    return 2 * np.maximum(rows[:, None], columns) + np.minimum(rows[:, None], columns)
 
 
 def light_at_rest(spikes: Shaped[np.ndarray, "T h w"], *, ends: float | int) -> Float[np.ndarray, "2 2 h w"]:

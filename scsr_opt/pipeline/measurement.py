@@ -32,6 +32,9 @@ _STEADY = 0.125
 # through an aperture of one, and of that they miss no more than 0.0013 (docs/data-term.md, "Exposures"). λ hears it
 # where they miss 0.003: 0.09 dB on a still that pans.
 _POSITIONS, _REACHES = (5, 3, 2, 1), (0.7, 0.5, 0.1)
+# What moves at a round velocity moves by just as much as one of these within a round number of frames: so much is taken
+# off them, sensor pixels, that rounding, which is another of a mirrored recording, does not decide.
+_TIE = 1e-3
 # How far what a pixel sees may move during a run of intervals of one frame that is merged: five positions then lie 3/8
 # of a sensor pixel apart.
 _FARTHEST = 1.875
@@ -199,7 +202,7 @@ def _longest_first(
         moved = speed * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
     for reach in _REACHES:
-        level += moved >= reach
+        level += moved >= reach - _TIE
     single = np.flatnonzero(level == 0)
     where = [of[single] for of in (samples.row, samples.column, samples.start, samples.stop)]
     level[single] = unsteady.during(*where) * (where[3] - where[2]) >= _STEADY

@@ -23,6 +23,7 @@ from scsr_opt._threads import in_threads
 from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.sparse import sparse_pixels
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, Trajectory
 from scsr_opt.operators.data_term import DataTerm
@@ -84,14 +85,14 @@ def relative_strength(prior: Prior) -> float:
 
 def noise_of_mean(clip: Clip) -> float:
     """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
-    a sample of the pixels, every second row and column or fewer.
+    a sample of the pixels (`sparse_pixels`), every second row and column or fewer.
 
     Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
     chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
     """
     apart = max(2, round((clip.spikes[0].size / _SAMPLED) ** 0.5))
-    few = clip.spikes[:, ::apart, ::apart]
-    bad = None if clip.bad_pixels is None else clip.bad_pixels[::apart, ::apart]
+    few = sparse_pixels(clip.spikes, apart)
+    bad = None if clip.bad_pixels is None else sparse_pixels(clip.bad_pixels, apart)
     samples = spike_intervals(few, white_rate=clip.white_rate, bad_pixels=bad, ends=0)
     follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
     difference = (samples.value[1:] - samples.value[:-1])[follows]

@@ -28,7 +28,8 @@ class NumpyDenoiser(eqx.Module):
     """A denoiser that runs as a NumPy function on the host, called back from the compiled loop.
 
     It cannot be differentiated, and pictures that `jax.vmap` adds are denoised one after the other. What comes back is
-    cast to the picture's dtype.
+    cast to the picture's dtype; axes of length 1 that the function dropped, as filters of scikit-image do, are put
+    back.
 
     **Arguments:** `function`: (image, σ) → image of the same shape, free of side effects. Two denoisers are the same to
     the compiler if their functions are: make a function once, not anew for each call.
@@ -41,6 +42,8 @@ class NumpyDenoiser(eqx.Module):
         def on_host(words: Array, of_sigma: Array) -> np.ndarray:
             picture, level = _numbers(words, image.dtype), _numbers(of_sigma, sigma.dtype)
             found = np.asarray(self.function(picture, float(level)))
+            if found.shape == np.squeeze(picture).shape:
+                found = found.reshape(picture.shape)
             if found.shape != picture.shape or found.dtype.kind != "f":
                 raise InputError(_no_picture(f"{found.dtype} of shape {found.shape}", picture.shape))
             result = np.ascontiguousarray(found, dtype=image.dtype)

@@ -309,7 +309,9 @@ def test_solution_and_bounds_outside_jit_compile_once(heard, placed):
             problem = Problem(term, prior, jnp.asarray(0.01 + n, jnp.float32))
             jax.grad(
                 lambda λ, p=problem: jnp.sum(
-                    implicit_minimiser(eqx.tree_at(lambda q: q.strength, p, λ), PICTURE, iterations=3, adjoint_iterations=3)
+                    implicit_minimiser(
+                        eqx.tree_at(lambda q: q.strength, p, λ), PICTURE, iterations=3, adjoint_iterations=3
+                    )
                 )
             )(problem.strength)
 

@@ -8,7 +8,7 @@ from skimage import data
 from skimage.metrics import peak_signal_noise_ratio
 
 from learned.training import checkpoint
-from learned.zoo import CHECKPOINTS, NETWORKS, model
+from learned.zoo import CHECKPOINTS, NETWORKS, Network, model
 from scsr_opt.baselines import BASELINES
 from scsr_opt.camera import simulate
 from scsr_opt.camera.scenes import Translation
@@ -26,6 +26,18 @@ def test_a_checkpoint_is_what_its_name_says(path):
     assert card.configuration["scale"] == scale
     assert card.steps > 0 and card.hardware and card.data and np.isfinite(card.scores["psnr"])
     assert model(name, scale=scale).name == name
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 12), (2, 3)])
+def test_spikesr_on_a_sensor_smaller_than_its_reach_keeps_the_light(shape, quick_compilation):
+    """The zeros beyond the border made single pixels 17 % too dark, single rows 3 %; means of ten phases."""
+    light, net = 0.5, model("spikesr-small", scale=2)
+    assert isinstance(net, Network)
+    phase = np.random.default_rng(0).random((10, 1, *shape))
+    charge = np.floor(phase + 0.6 * light * np.arange(61)[:, None, None])
+    spikes = np.diff(charge, axis=1).astype(np.uint8)
+    means = [net(each, scale=2, white_rate=0.6, record=False).image.mean() for each in spikes]
+    assert np.mean(means) == pytest.approx(light, rel=0.02)
 
 
 @pytest.mark.slow

@@ -85,6 +85,38 @@ def test_nl_means_is_scikit_images(oracle):
     np.testing.assert_allclose(prox(PlugAndPlay(nl_means(3, 4, 0.7)), f, 0.04)[0], expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("make", [nl_means, bilateral, tv_chambolle])
+@pytest.mark.parametrize("length", [1, 2, 3, 4, 7, 20])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_plug_and_play_single_row_or_column_is_denoised_as_rows_that_are_all_alike(make, length, axis):
+    """A picture of one row goes on beyond its border as the same row, and so is filtered as the middle of many."""
+    row = np.random.default_rng(length).uniform(0.2, 0.8, length).astype(np.float32)
+    thin = np.expand_dims(row, axis)
+    wide = np.repeat(thin, 33, axis)
+    x, wide = (prox(PlugAndPlay(make()), f, 0.01)[0] for f in (thin, wide))
+    assert x.shape == thin.shape
+    np.testing.assert_allclose(x, np.take(wide, [16], axis), rtol=0, atol=2e-4)
+
+
+@pytest.mark.parametrize("make", [nl_means, bilateral, tv_chambolle])
+@pytest.mark.parametrize("wrap", [lambda d: PlugAndPlay(d), lambda d: RED(d, 0.1)], ids=["pnp", "red"])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 1), (2, 2), (2, 5), (3, 3), (4, 2), (3, 5), (5, 4), (1, 17)])
+def test_denoisers_on_pictures_smaller_than_a_patch_keep_flat_ones_and_calm_others(make, wrap, shape):
+    prior = wrap(make())
+    flat = np.full(shape, 0.4, np.float32)
+    np.testing.assert_allclose(prox(prior, flat, 0.02)[0], flat, rtol=0, atol=1e-5)
+    rough = np.random.default_rng(7).uniform(0.3, 0.5, shape).astype(np.float32)
+    x, _ = prox(prior, rough, 0.02)
+    assert x.shape == shape and bool(jnp.isfinite(x).all())
+    assert x.min() >= rough.min() - 1e-5 and x.max() <= rough.max() + 1e-5
+
+
+def test_numpy_denoiser_that_drops_axes_of_length_1_gives_a_picture():
+    f = np.arange(5, dtype=np.float32)[:, None]
+    prior = PlugAndPlay(NumpyDenoiser(lambda image, sigma: np.squeeze(image) / 2))
+    np.testing.assert_allclose(prox(prior, f, 0.1)[0], f / 2, rtol=1e-6)
+
+
 def test_called_back_from_a_loop_and_for_several_pictures(oracle):
     shapes = []
 

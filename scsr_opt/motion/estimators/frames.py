@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Shaped
 
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.sparse import sparse_pixels
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.motion.inversion import Corner, corner_of, in_turn, interpolated
 
@@ -119,7 +120,7 @@ def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
     frames = spikes.shape[0]
     if frames < 16:
         return 0, frames - 1
-    some = SpikeTimes.of(spikes[:, ::2, ::2])
+    some = SpikeTimes.of(sparse_pixels(spikes, 2))
     fired = some.count > 0
     if not fired.any():
         return 0, frames - 1

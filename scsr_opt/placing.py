@@ -88,10 +88,9 @@ def stream_around(
     start, stop = recording.around(key, whole(frames, "frames", 1))
     rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
     bad = bad_pixels_of(recording, bad_pixels)
-    if bad is None:
-        return key, Stream(recording.source.view(start, stop), key - start, rate, bad)
     spikes = recording.window(start, stop)
-    spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
+    if bad is not None:
+        spikes[:, bad] = 0  # whatever they fired, nothing after this line knows
     return key, Stream(spikes, key - start, rate, bad)
 
 

@@ -197,7 +197,7 @@ def _read_npz(request: _Request) -> _Read:
         array = np.moveaxis(array, -1, 0)
     _fitting(checked_shape(array.shape, where), request.size, where)
     upright = array[:, ::-1] if request.flip else array
-    return ArraySource.in_order(as_spikes(upright, where)), bool(request.flip), extras
+    return ArraySource.of(as_spikes(upright, where)), bool(request.flip), extras
 
 
 def _read_hdf5(request: _Request) -> _Read:

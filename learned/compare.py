@@ -27,7 +27,7 @@ from learned.stage_report import Comparison, Hybrid, ModelStages, StageMeasures,
 from learned.validation import psnr, quality
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
-from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.solution import Result, Solution
 
@@ -65,6 +65,7 @@ def compare_stages(
 
     **Raises:** `InputError` if something handed in cannot be used, or the recording holds no usable sample.
     """
+    check_progress(progress)
     here = moment(spikes, scale=scale, key=key, white_rate=white_rate)
     known = None if truth is None else _truth(here, truth)
     chosen = [model(one, here.scale) if isinstance(one, str) else one for one in models]

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 
 from scsr_opt.camera.recording import Recording
+from scsr_opt.device import check_device
 from scsr_opt.inputs import picture_shape, pixel_gain, whole
 from scsr_opt.motion.alignment import Stretches
 from scsr_opt.motion.estimate import Estimator
@@ -82,6 +83,7 @@ def moment(
 
     **Raises:** `InputError` if something handed in cannot be used.
     """
+    check_device()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)

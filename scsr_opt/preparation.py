@@ -15,6 +15,7 @@ from scsr_opt.camera.gain import gain_is_known, spread_of
 from scsr_opt.camera.gain_network import gain_at_rest
 from scsr_opt.camera.measuring import Intervals, Measuring
 from scsr_opt.camera.recording import Recording
+from scsr_opt.device import check_device
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import check_type, flag, picture_shape, pixel_gain, prior_strength, whole
 from scsr_opt.motion.alignment import Stretches
@@ -28,7 +29,7 @@ from scsr_opt.operators.robust import Loss
 from scsr_opt.placing import Measurements, Stream, first_picture, measured, stream_around
 from scsr_opt.priors.default import default_prior
 from scsr_opt.priors.prior import Prior
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 from scsr_opt.rounds import Rounds
 from scsr_opt.skip import Plan, plan_of
 from scsr_opt.solvers.default import default_solver
@@ -227,6 +228,8 @@ def prepare(
 ) -> Prepared:
     """All of `scsr_opt.reconstruct` before the first iteration; its arguments but `state`."""
     clock = Clock()
+    check_device()
+    check_progress(progress)
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     height, width = recording.height, recording.width
     scale, skip = whole(scale, "scale", 1), flag(skip, "skip")

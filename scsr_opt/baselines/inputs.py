@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording, checked_white_rate
+from scsr_opt.device import check_device
 from scsr_opt.inputs import picture_shape, whole
 from scsr_opt.motion.estimate import filled
 
@@ -40,7 +41,7 @@ class Part(NamedTuple):
         """A playback with its bad pixels filled in from their neighbours."""
         if self.bad_pixels is None or not self.bad_pixels.any():
             return picture
-        return np.asarray(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
+        return np.array(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
 
 
 def part_of(
@@ -57,6 +58,7 @@ def part_of(
 
     **Raises:** `InputError` if one of them cannot be used.
     """
+    check_device()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)  # fits into memory

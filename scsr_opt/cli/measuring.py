@@ -36,6 +36,9 @@ def measure(
             f"sources, and say make {name} there."
         )
     check_outputs([], json=json, page=page)
+    from scsr_opt.device import check_device
+
+    check_device()
     library, pages = import_module(f"benchmarks.{name}"), import_module(f"benchmarks.{name}_page")
     if page is not None:
         pages.check_page(page)

@@ -130,6 +130,9 @@ class Solving:
 
         **Raises:** `InputError` for what does not go together, or with this recording.
         """
+        from scsr_opt.device import check_device
+
+        check_device()  # priors and blurs below are made of JAX's arrays
         given = {
             "velocity": velocity_of(recording, self.motion),
             "samples": self._samples(recording),

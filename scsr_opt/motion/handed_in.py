@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from scsr_opt.arrays import as_array, own
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 
@@ -17,8 +19,8 @@ def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) 
 
     **Errors:** `InputError` for another shape, or values that are not finite or above `FASTEST`.
     """
+    array = as_array(velocity, "velocity")
     try:
-        array = np.asarray(velocity)
         if np.iscomplexobj(array):
             raise TypeError
         with np.errstate(over="ignore"):
@@ -45,11 +47,12 @@ def given(velocity: ArrayLike | Sequence[float | int], height: int, width: int) 
 
 
 def checked(motion: Motion, height: int, width: int) -> Motion:
-    """A motion handed in by the user, as it is.
+    """A motion handed in by the user, as it is, in arrays that nobody else writes to.
 
     **Errors:** `InputError` if a field has another shape than a sensor of (h, w) asks for, or values that are not
     finite, or if a label names no layer.
     """
+    motion = jax.tree.map(lambda field: own(field, "A field of velocity"), motion)
     given(motion.velocity, height, width)
     picture = (height, width)
     wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
@@ -80,8 +83,8 @@ def checked(motion: Motion, height: int, width: int) -> Motion:
             f"velocity.layers.label holds other numbers than those of the {len(motion.layers.depth)} layers, from 0."
         )
     if motion.layers is not None:
-        own = Motion.of_layers(motion.layers, motion.confidence)
-        if not np.allclose(own.velocity, motion.velocity) or not np.allclose(own.acceleration, motion.acceleration):
+        moves = Motion.of_layers(motion.layers, motion.confidence)
+        if not np.allclose(moves.velocity, motion.velocity) or not np.allclose(moves.acceleration, motion.acceleration):
             raise InputError(
                 "velocity.velocity or velocity.acceleration is not that of the layers which its labels name; make such "
                 "a motion by Motion.of_layers."

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 
+from scsr_opt.arrays import as_array
 from scsr_opt.errors import InputError
 from scsr_opt.report.files import whole_file
 
@@ -279,7 +280,7 @@ def _encoder() -> str:
 
 
 def _finite(image: Any) -> Float[np.ndarray, "H W"]:
-    linear = np.asarray(image, dtype=np.float32)
+    linear = as_array(image, "The picture").astype(np.float32, copy=False)
     wrong = int(np.count_nonzero(~np.isfinite(linear)))
     if wrong:
         raise InputError(f"{wrong} of the picture's {linear.size} values are not finite, so it is not written.")

@@ -20,7 +20,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt.arrays import own
 from scsr_opt.camera.recording import Recording
+from scsr_opt.device import check_device
 from scsr_opt.errors import InputError
 from scsr_opt.inputs import pixel_gain, whole
 from scsr_opt.motion.alignment import Stretches
@@ -34,6 +36,7 @@ from scsr_opt.motion.trust import trusted
 from scsr_opt.operators.sampling import PlacedSamples
 from scsr_opt.placing import stream_around
 from scsr_opt.preparation import FRAMES, Prepared, prepare
+from scsr_opt.progress import check_progress
 from scsr_opt.reconstruction import solve
 from scsr_opt.solvers.solution import Solution
 
@@ -69,6 +72,8 @@ def sequence(
       `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
     - `keys`: frames, best in order and a few frames apart.
 
+    What is handed in may be overwritten as soon as this returns, and what is handed out at any time.
+
     **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity 1 = white. Where
     `.stats["carried"]` is true, `.motion` is that of a picture before, carried on: not always what would be estimated
     there.
@@ -84,7 +89,17 @@ def sequence(
     if isinstance(keys, str) or not isinstance(keys, Iterable):
         raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
+    check_device()
+    check_progress(options.get("progress"))
+    # Its own of all that the caller may overwrite between two pictures.
+    recording = replace(recording)
+    options = {name: own(value, name) if _may_change(value) else value for name, value in options.items()}
     return _pictures(recording, tuple(keys), whole(scale, "scale", 1), estimator, options)
+
+
+def _may_change(value: Any) -> bool:
+    """Whether it is an array, or anything that one can be made of, which somebody may write to."""
+    return isinstance(value, list | tuple) or (hasattr(value, "__array__") and not isinstance(value, np.generic))
 
 
 class _Followed(NamedTuple):
@@ -168,7 +183,7 @@ def _pictures(
                     )
                 before = None if followed is None else (now.key, solution)
                 done += 1
-                yield solution
+                yield solution.handed_out()
                 if followed is not now.followed:
                     break  # what was begun is not what is wanted
 

@@ -89,6 +89,9 @@ def reconstruct(
       solver and prior at the same size: where to start.
     - `progress`: told of the progress. `keep_images`: every stage keeps its pictures.
 
+    Arrays that are handed in are read or copied before it returns, and never written to; those of the `Solution` are
+    the caller's own, and may be.
+
     **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity 1 = white. `.stats["saturated"]` is the share of
     the pixels that fired in 90 % of the frames or more: where they lie the picture is a lower bound.
 
@@ -115,7 +118,7 @@ def reconstruct(
         progress=progress,
         keep_images=keep_images,
     )
-    return solve(prepared, state)
+    return solve(prepared, state).handed_out()
 
 
 def solve(prepared: Prepared, state: Any = None) -> Solution:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.linear_solve import LinearSolve
 from scsr_opt.solvers.problem import Problem, with_bound
 from scsr_opt.solvers.solution import Active, Result, Stage
@@ -31,7 +31,7 @@ CORRECTED_AFTER = 4
 
 
 class Record(NamedTuple):
-    """The numbers of a `Stage`, as arrays."""
+    """The numbers of a `Stage`, as arrays; `scsr_opt.solvers.stopping.UNMEASURED` where a gap is not measured."""
 
     data: Float[Array, "..."]
     prior: Float[Array, "..."]
@@ -152,6 +152,7 @@ def run(
     **Errors:** `InputError` for a state of another solver or picture size, a first picture (or that of a state) that is
     not finite, or a prior that the solver cannot use.
     """
+    check_progress(progress)
     begin = time.perf_counter()
     iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
     solver.check(problem.prior)
@@ -188,8 +189,8 @@ def run(
             pictures: dict[str, Any] = {}
             if keep_images:
                 pictures = {
-                    "image": np.asarray(solver.image(state)),
-                    "gradient_step": np.asarray(solver.gradient_step(problem, state)),
+                    "image": np.array(solver.image(state)),
+                    "gradient_step": np.array(solver.gradient_step(problem, state)),
                 }
             for record in table[:done]:
                 stages.append(Stage.of(len(stages) + 1, record, seconds, **pictures))
@@ -211,7 +212,8 @@ def run(
             progress.finish()
     # Splitting methods keep to bounds in a copy, which the picture only tends to.
     found = problem.prior.clip(solver.image(state))
-    return Outcome(np.asarray(found), tuple(stages), result, state)
+    # A copy, which can be written to; the state keeps its own.
+    return Outcome(np.array(found), tuple(stages), result, state)
 
 
 def _check_state(solver: Solver, problem: Problem, state: Any) -> None:

@@ -1,6 +1,8 @@
 """What every solver and every unrolled network returns: `Solution`, with one `Stage` per iteration."""
 
+import copy
 import enum
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, SupportsFloat
@@ -70,6 +72,7 @@ class Stage:
     def of(cls, number: int, record: Iterable[SupportsFloat], seconds: float, **pictures: Any) -> "Stage":
         """Of the numbers of a `scsr_opt.solvers.Record`."""
         data, prior, residual, gap, step_size = map(float, record)
+        gap = float("nan") if gap < 0 else gap  # `scsr_opt.solvers.stopping.UNMEASURED`
         return cls(number, data + prior, data, prior, residual, step_size, seconds, **pictures, gap=gap)
 
 
@@ -115,9 +118,9 @@ class Active:
         return [f"{line}." for line in text]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Solution:
-    """A reconstruction.
+    """A reconstruction. Its arrays are the caller's own: `solution.image *= 255` is fine.
 
     **Fields:**
     - `image`: (H, W) float32, intensity, 1 = white, linear.
@@ -141,12 +144,18 @@ class Solution:
     gain: Float[np.ndarray, "h w"] | None = None
     active: Active | None = None
 
-    @property
+    def handed_out(self) -> "Solution":
+        """The solution with arrays and numbers of its own that may be written to: those that it was made with are views
+        of JAX's, or are needed for the next picture. The stages, whose pictures nobody else has, and the state, whose
+        arrays nobody can write to, are the same."""
+        return copy.deepcopy(self, {id(part): part for part in (self.stages, self.state)})
+
+    @functools.cached_property  # and not a property, which could not be multiplied in place
     def velocity(self) -> Float[np.ndarray, "2 h w"] | None:
         """Of the motion, float32, sensor pixels per frame ([0] rows, [1] columns)."""
         return None if self.motion is None else self.motion.velocity
 
-    @property
+    @functools.cached_property
     def confidence(self) -> Float[np.ndarray, "h w"] | None:
         """In [0, 1], how far that velocity can be trusted."""
         return None if self.motion is None else self.motion.confidence

@@ -44,6 +44,8 @@ from learned.evaluation.stages import stages_of
 from learned.networks.restoration import RestorationNet, first_prior, restored
 from learned.training import checkpoint
 from scsr_opt import reconstruct
+from scsr_opt._arrays import as_array
+from scsr_opt._kernels.device import check_device
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
@@ -54,7 +56,7 @@ from scsr_opt.priors.centred import Centred
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.priors.total_variation import TotalVariation
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.loop import Solver
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
@@ -98,6 +100,7 @@ class Optimizer:
 
         **Raises:** `InputError` if something handed in cannot be used.
         """
+        check_progress(progress)
         if start is not None:
             posed = reference_problem(
                 reference_clip(spikes, scale=scale, key=key, white_rate=white_rate), prior=self.prior
@@ -316,6 +319,7 @@ class Network:
 
         **Raises:** `InputError` if something handed in cannot be used, or the network is for another scale.
         """
+        check_progress(progress)
         here = reference_clip(spikes, scale=scale, key=key, white_rate=white_rate)
         if record:
             return self.solve(reference_problem(here), start=start, keep_images=keep_images, progress=progress)
@@ -334,6 +338,7 @@ class Network:
         progress: Progress | None = None,
     ) -> Solution:
         """The same, measured by the problem that is posed."""
+        check_progress(progress)
         if not posed.usable:
             return _nothing(posed.clip)
         if progress is not None:
@@ -383,8 +388,9 @@ Model = Optimizer | Network
 def model(name: str, scale: int) -> Model:
     """The rung of this name for a scale; a path that ends in `.scsr` is a network of its own.
 
-    **Raises:** `InputError` if there is no such rung, or no weights for it.
+    **Raises:** `InputError` if there is no such rung, no weights for it, or no device for JAX to run on.
     """
+    check_device()  # priors and weights are arrays of JAX's
     if name in OPTIMIZERS:
         prior, solver = OPTIMIZERS[name]()
         return Optimizer(name, prior, solver)
@@ -424,7 +430,7 @@ def _weights(name: str, scale: int) -> Path:
 
 def _picture(here: ReferenceClip, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:
     """`start` as a picture of this moment. **Raises:** `InputError` if it is none."""
-    image = np.asarray(start, np.float32)
+    image = as_array(start, "start").astype(np.float32)  # a copy
     if image.shape != here.shape or not np.isfinite(image).all():
         raise InputError(
             f"start has shape {image.shape} and {int((~np.isfinite(image)).sum())} values that are not finite; a "
@@ -446,7 +452,7 @@ def _nothing(here: ReferenceClip) -> Solution:
 def _solution(
     here: ReferenceClip, found: Run, stages: tuple[Stage, ...], seconds: float, strength: float | None = None
 ) -> Solution:
-    images = np.asarray(found.images)
+    images = np.array(found.images)
     finite = [image for image in images if np.isfinite(image).all()]
     diagnostics = Diagnostics(
         iterations=len(images),

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._arrays import as_array
 from scsr_opt.camera.recording import Recording, checked_settings
 from scsr_opt.errors import InputError
 
@@ -93,14 +94,14 @@ def bad_pixels_of(recording: Recording, more: ArrayLike | None) -> Bool[np.ndarr
 
 def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h w"]:
     """`gain` as float32 (h, w). **Raises:** `InputError` if it has another shape or is not finite and above 0."""
+    array = as_array(gain, "gain")
+    kind = "a complex array" if np.iscomplexobj(array) else "an array"
     try:
-        array = np.asarray(gain)
-        kind = "a complex array" if np.iscomplexobj(array) else "an array"
-        found = None if np.iscomplexobj(array) else array.astype(np.float32)
+        found = None if np.iscomplexobj(array) else array.astype(np.float32)  # a copy
     except (TypeError, ValueError):
-        array, kind, found = None, "", None
+        kind, found = f"an array of type {array.dtype}", None
     if found is None or found.shape != (height, width):
-        given = repr(gain) if array is None or array.ndim == 0 else f"{kind} of shape {array.shape}"
+        given = repr(gain) if array.ndim == 0 else f"{kind} of shape {array.shape}"
         raise InputError(
             f"gain is {given}; it must be 'auto', 'blind' or one gain for each pixel, ({height}, {width})."
         )

@@ -4,7 +4,9 @@ Whoever works for more than about a second takes a `progress: Progress | None` a
 the caller decides whether anybody sees it. Compiled loops report after each chunk of iterations, not after each one.
 """
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
+
+from scsr_opt.errors import InputError
 
 
 @runtime_checkable
@@ -22,6 +24,16 @@ class Progress(Protocol):
     def advance(self, done: int) -> None: ...
 
     def finish(self) -> None: ...
+
+
+def check_progress(progress: Any) -> None:
+    """**Raises:** `InputError` if `progress` is neither None nor a `Progress`: a function, or a class in the place of
+    one of its objects, would fail only in the middle of the work."""
+    if progress is not None and (isinstance(progress, type) or not isinstance(progress, Progress)):
+        raise InputError(
+            f"progress is {progress!r}; it must be None or an object with the methods start, advance and finish "
+            f"(scsr_opt.progress.Progress), such as scsr_opt.report.RichProgress()."
+        )
 
 
 class NoProgress:

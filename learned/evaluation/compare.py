@@ -35,7 +35,7 @@ from learned.zoo import Model, Network, Optimizer, model
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.solution import Solution
-from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.record import Status
 
@@ -73,6 +73,7 @@ def compare_stages(
 
     **Raises:** `InputError` if something handed in cannot be used, or the recording holds no usable sample.
     """
+    check_progress(progress)
     here = reference_clip(spikes, scale=scale, key=key, white_rate=white_rate)
     known = None if truth is None else _truth(here, truth)
     chosen = [model(one, here.scale) if isinstance(one, str) else one for one in models]

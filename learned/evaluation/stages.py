@@ -39,8 +39,8 @@ def stages_of(posed: ReferenceProblem, found: Run, *, seconds: float, keep_image
                 residual=float(_residual(posed.problem(image), prior, image)),
                 step_size=float(_step_size(before, slope, step)),
                 seconds=seconds,
-                gradient_step=np.asarray(step) if keep_images else None,
-                image=np.asarray(image) if keep_images else None,
+                gradient_step=np.array(step) if keep_images else None,
+                image=np.array(image) if keep_images else None,
             )
         )
         before, slope = image, reading.slope

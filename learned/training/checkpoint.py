@@ -99,7 +99,8 @@ def load(
         check_same(path, card.configuration, configuration)
     if like is None:
         built = trainable(card.model, scale, network)
-        like = eqx.filter_eval_shape(built.build, jax.random.key(0))
+        # Of float32 as the file, also where `JAX_ENABLE_X64` makes what is built anew float64.
+        like = _cast(eqx.filter_eval_shape(built.build, jax.random.key(0)), jnp.float64, jnp.float32)
     stored = _cast(like, jnp.float32, jnp.float16) if card.precision == "float16" else like
     return _cast(unpacked(path, payload, stored), jnp.float16, jnp.float32), card
 

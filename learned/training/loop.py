@@ -39,8 +39,9 @@ from learned.training.data import Examples, Pictures
 from learned.training.data_loader import batches, stacked
 from learned.training.prepared_cache import Preparing, prepare
 from learned.training.registry import Trainable, trainable
+from scsr_opt._kernels.device import check_device
 from scsr_opt.errors import InputError
-from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.progress import NoProgress, Progress, check_progress
 
 SKIPPED_IN_A_ROW = 20
 """So many steps without a finite loss and gradient, one after the other, end a run: chance does not do that."""
@@ -126,6 +127,8 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
     **Raises:** `InputError` if the folder cannot be written, holds the run of another configuration, or the pictures
     cannot be used.
     """
+    check_device()
+    check_progress(progress)
     started, folder = time.perf_counter(), Path(out)
     task = trainable(config.model, config.scale, config.network)
     examples = _examples(config)

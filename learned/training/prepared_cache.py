@@ -24,7 +24,7 @@ from learned.training.data import Examples
 from learned.training.data_loader import batches
 from learned.training.registry import trainable
 from scsr_opt.errors import InputError
-from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.report.files import whole_file
 
 IN_A_FILE = 8
@@ -70,6 +70,7 @@ def prepare(
 
     **Raises:** `InputError` if the folder holds examples that were made of something else, or a file that is damaged.
     """
+    check_progress(progress)
     folder.mkdir(parents=True, exist_ok=True)
     starts = range(0, count, IN_A_FILE)
     paths = [folder / f"{start:06d}.npz" for start in starts]

@@ -24,6 +24,7 @@ import jax
 import jax.monitoring
 import jax.numpy as jnp
 
+from scsr_opt._kernels.device import check_device
 from scsr_opt._kernels.forks import refuse_fork
 
 P = ParamSpec("P")
@@ -67,9 +68,11 @@ def mappings() -> int:
 def ready() -> None:
     """To be called first by whatever compiles or runs programs and is called from outside.
 
-    **Raises:** `InputError` in a forked process, where programs cannot be run (`scsr_opt._kernels.forks`).
+    **Raises:** `InputError` in a forked process, where programs cannot be run (`scsr_opt._kernels.forks`), and where
+    JAX finds no device (`scsr_opt._kernels.device`).
     """
     refuse_fork()
+    check_device()
     if _room.compiled == _room.looked_at or not _room.lock.acquire(blocking=False):
         return
     try:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.device import check_device
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording, checked_white_rate
@@ -42,7 +43,7 @@ class Part(NamedTuple):
         if self.bad_pixels is None or not self.bad_pixels.any():
             return picture
         ready()
-        return np.asarray(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
+        return np.array(filled(jnp.asarray(picture)[None], ~self.bad_pixels)[0])
 
 
 def part_of(
@@ -59,6 +60,7 @@ def part_of(
 
     **Raises:** `InputError` if one of them cannot be used.
     """
+    check_device()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape(recording, scale)  # fits into memory

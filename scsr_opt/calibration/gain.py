@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 
+from scsr_opt._arrays import as_array
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, checked_settings
 from scsr_opt.camera.samples import Samples, mean_light
 from scsr_opt.camera.spike_times import SpikeTimes
@@ -37,7 +38,7 @@ def with_gain(samples: Samples, gain: Float[np.ndarray, "h w"]) -> Samples:
 
     **Raises:** `InputError` if a gain is not above 0.
     """
-    gain = np.asarray(gain, np.float32)
+    gain = as_array(gain, "gain").astype(np.float32)
     if not np.all(gain > 0):
         raise InputError(
             f"{np.count_nonzero(~(gain > 0))} gains are not above 0: mark such pixels as bad_pixels and give them "

@@ -211,7 +211,7 @@ def _read_npz(request: _Request) -> _Read:
     if time_axis(array, where, size=request.size, convention=None if key == "arr_0" else FIRST) == LAST:
         array = np.moveaxis(array, -1, 0)
     upright = array[:, ::-1] if request.flip else array
-    return ArraySource.in_order(upright), bool(request.flip), extras
+    return ArraySource.of(upright), bool(request.flip), extras
 
 
 def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:

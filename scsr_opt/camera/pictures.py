@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates, spline_filter
 
+from scsr_opt._arrays import as_array
 from scsr_opt.errors import InputError
 
 _LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, as the project's stills were made
@@ -22,7 +23,7 @@ def as_intensity(image: Any, what: str = "The picture") -> Float[np.ndarray, "H 
 
     **Raises:** `InputError` for another shape or type, and for values that are not finite or outside 0..1.
     """
-    array = np.asarray(image)
+    array = as_array(image, what)
     if array.ndim not in (2, 3) or 0 in array.shape or (array.ndim == 3 and array.shape[2] not in (3, 4)):
         raise InputError(
             f"{what} has shape {array.shape}, but a picture is (rows, columns), or (rows, columns, 3) in RGB."

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from scsr_opt._arrays import as_array
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.sources import as_spikes, checked_shape
 from scsr_opt.errors import InputError
@@ -253,7 +254,7 @@ def _first_two(trains: Bool[np.ndarray, "T n"]) -> tuple[Int[np.ndarray, " n"], 
 
 
 def _checked(spikes: Any, key: Any, white_rate: Any) -> tuple[UInt8[np.ndarray, "T h w"], int, float]:
-    array = np.asarray(spikes)
+    array = as_array(spikes, "The array of spikes")
     checked_shape(array.shape, "The array of spikes")
     recording = as_spikes(array, "The array of spikes")
     frame = _index(key, "key")

@@ -5,6 +5,7 @@ from itertools import accumulate
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from scsr_opt._arrays import as_array
 from scsr_opt.camera.spike_times import SpikeTimes, second_spikes
 
 
@@ -19,8 +20,9 @@ def interval_rates(
     continued, at a rate that is no higher than the missing spike allows; a pixel with fewer than two spikes shows its
     mean rate.
     """
+    spikes = as_array(spikes, "The array of spikes")
     frames, *sides = spikes.shape
-    fired = np.asarray(spikes).reshape(frames, -1)
+    fired = spikes.reshape(frames, -1)
     at = [int(np.clip(np.floor(edge), 0, frames - 2)) if frames > 1 else 0 for edge in edges]
     # Up to the first edge, between each two, and after the last one.
     ends = sorted({t + 1 for t in at} | {frames})

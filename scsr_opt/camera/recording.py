@@ -15,6 +15,7 @@ from typing import Any, SupportsFloat, SupportsIndex
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from scsr_opt._arrays import as_array
 from scsr_opt.camera.plausibility import axis_regularity, contradiction
 from scsr_opt.camera.sources import ArraySource, CroppedSource, SpikeSource, as_spikes, checked_shape
 from scsr_opt.errors import InputError
@@ -72,24 +73,19 @@ class Recording:
         """A recording of spikes in memory.
 
         **Arguments:**
-        - `array`: (T, h, w), bool or integer, 0 and 1 only, upright, time first. A uint8 or bool array that lies in
-          memory frame after frame is not copied, so do not change it afterwards.
+        - `array`: (T, h, w), bool or integer, 0 and 1 only, upright, time first. The recording keeps its own copy, a
+          bit for each spike, so that `array` may be overwritten or let go afterwards.
         - the others: as the fields.
 
         If another axis than the first looks like time by its content, there is a warning.
 
-        **Raises:** `InputError` if `array` has another number of dimensions, other values, or nothing in it.
+        **Raises:** `InputError` if `array` has another number of dimensions, other values, a mask, or nothing in it.
         """
-        try:
-            spikes = np.asarray(array)
-        except ValueError:
-            raise InputError(
-                "The array is a list whose parts differ in length; spikes are (frames, rows, columns), every frame and "
-                "every row as long as the others."
-            ) from None
+        spikes = as_array(array, "The array")
         checked_shape(spikes.shape, "The array")
-        source = ArraySource.in_order(as_spikes(spikes, "The array"))
-        other = contradiction(axis_regularity(source.array), axis=0)
+        checked = as_spikes(spikes, "The array")
+        source = ArraySource.of(checked)
+        other = contradiction(axis_regularity(checked), axis=0)
         if other is not None:
             warnings.warn(
                 f"The array of shape {spikes.shape} is taken for (frames, rows, columns), but its content looks as if "
@@ -247,23 +243,15 @@ def _held(array: np.ndarray) -> str:
 
 
 def _mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    try:
-        array = np.asarray(mask)
-    except ValueError:
-        raise InputError(
-            f"bad_pixels is a list whose rows differ in length; give a mask of shape {shape}, True where a pixel is "
-            "bad, top row first."
-        ) from None
+    array = as_array(mask, "bad_pixels")
     if array.shape != shape:
         raise InputError(
             f"bad_pixels has shape {array.shape}, but the sensor has {shape[0]} rows and {shape[1]} columns: give a "
             f"mask of shape {shape}, True where a pixel is bad, top row first."
         )
-    if array.dtype == np.bool_:
-        return array
-    if array.dtype.kind not in "iu" or array.max() > 1 or array.min() < 0:
+    if array.dtype != np.bool_ and (array.dtype.kind not in "iu" or array.max() > 1 or array.min() < 0):
         raise InputError(
             f"bad_pixels holds {_held(array)}; give a bool mask, or whole numbers 0 and 1, True (or 1) where a pixel "
             "is bad, for example map > limit."
         )
-    return array.astype(bool)
+    return array.astype(bool)  # a copy

@@ -25,6 +25,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from scsr_opt._arrays import as_array
 from scsr_opt._threads import in_threads
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
@@ -125,9 +126,10 @@ def spike_intervals(
     """
     if not 0 <= ends <= 1:
         raise InputError(f"ends is {ends!r}, but it must be a number from 0 (left out) to 1 (as good as intervals).")
+    spikes = as_array(spikes, "The array of spikes")
     frames, height, width = spikes.shape
-    good = np.ones(height * width, bool) if bad_pixels is None else ~bad_pixels.reshape(-1)
-    fired = np.asarray(spikes).reshape(frames, -1)
+    good = np.ones(height * width, bool) if bad_pixels is None else ~as_array(bad_pixels, "bad_pixels").reshape(-1)
+    fired = spikes.reshape(frames, -1)
     merged = np.broadcast_to(np.asarray(shortest), (height, width)).reshape(-1)
     runs = np.asarray(run)
     runs = np.broadcast_to(runs, (*runs.shape[:-2], height, width)).reshape(-1, height * width)
@@ -240,6 +242,7 @@ def windows(
 
     **Raises:** `InputError` if no whole window fits.
     """
+    spikes = as_array(spikes, "The array of spikes")
     frames, height, width = spikes.shape
     if not 1 <= length <= frames:
         raise InputError(
@@ -250,7 +253,8 @@ def windows(
     begin = np.arange(number, dtype=np.float32) * length + first_frame - 0.5  # frame t covers [t − ½, t + ½]
     rows, columns = np.mgrid[0:height, 0:width].astype(np.int32)
     shape = (number, height, width)
-    used = np.ones(shape, np.float32) if bad_pixels is None else np.broadcast_to(~bad_pixels, shape).astype(np.float32)
+    good = True if bad_pixels is None else ~as_array(bad_pixels, "bad_pixels")
+    used = np.broadcast_to(good, shape).astype(np.float32)
     return Samples(
         row=np.broadcast_to(rows, shape).ravel(),
         column=np.broadcast_to(columns, shape).ravel(),

@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.scenes import Scene
 from scsr_opt.errors import InputError
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 
 DARK_ELECTRONS = 1000.0
 """Thermal electrons that make as much charge as white does in one frame, where `photons` does not say (no shot
@@ -194,6 +194,7 @@ def simulate(
     **Raises:** `InputError` if `scale` or `frames` is not a whole number of at least 1, the scene is smaller than one
     sensor pixel or not known for so long, the sensor's optics blur over more than the scene, or `seed` is negative.
     """
+    check_progress(progress)
     scale, frames = _whole(scale, "scale", 1), _whole(frames, "frames", 1)
     h, w = scene.size[0] // scale, scene.size[1] // scale
     if h == 0 or w == 0:

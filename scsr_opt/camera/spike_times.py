@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int, Shaped, UInt8
 
+from scsr_opt._arrays import as_array
+
 # Frames that are looked at before what was found in bytes goes to wider numbers: as far as a byte counts. Bytes take a
 # fifth of the time of anything wider.
 BYTE = 255
@@ -46,7 +48,7 @@ class SpikeTimes(NamedTuple):
 
 def as_bytes(spikes: Shaped[np.ndarray, "T *pixels"]) -> UInt8[np.ndarray, "T *pixels"]:
     """A recording of 0 and 1 of any type as bytes."""
-    fired = np.asarray(spikes)
+    fired = as_array(spikes, "The array of spikes")
     return fired if fired.dtype == np.uint8 else fired.astype(bool, copy=False).view(np.uint8)
 
 

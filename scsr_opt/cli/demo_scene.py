@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt._kernels.device import check_device
 from scsr_opt.camera import Recording, Sensor, Simulation, simulate, tfp, write_recording
 from scsr_opt.camera.scenes import Affine
 from scsr_opt.pipeline.solution import Solution
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 from scsr_opt.report import Report, bicubic, figure, whole_file, write_picture
 
 SCALE = 4
@@ -77,6 +78,8 @@ def run(folder: Path, *, progress: Progress | None = None) -> Demo:
     """
     from scsr_opt import reconstruct
 
+    check_device()
+    check_progress(progress)
     simulation = simulated()
     recording = Recording.from_array(simulation.spikes, white_rate=simulation.white_rate, name="demo")
     write_recording(folder / "recording.npz", recording)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.motion.inversion import (
@@ -110,7 +111,7 @@ class Motion(eqx.Module):
         cls, velocity: Float[np.ndarray, "2 h w"], confidence: Float[np.ndarray, "h w"] | None = None
     ) -> "Motion":
         """Straight motion of constant speed; confidence 1 if not given."""
-        velocity = np.asarray(velocity, np.float32)
+        velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
         if confidence is None:
             confidence = np.ones(velocity.shape[1:], np.float32)
         return cls(velocity, np.zeros_like(velocity), np.asarray(confidence, np.float32))
@@ -125,7 +126,7 @@ class Motion(eqx.Module):
         """
         try:
             with np.errstate(over="ignore"):  # becomes infinite, and is refused as such
-                pair = np.asarray(velocity, np.float32)
+                pair = as_array(velocity, "velocity").astype(np.float32)
         except (TypeError, ValueError):
             pair = np.zeros(0, np.float32)
         if pair.shape != (2,) or not np.isfinite(pair).all():

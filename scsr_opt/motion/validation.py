@@ -1,7 +1,9 @@
 """Checks of a motion that a user gives."""
 
+import jax
 import numpy as np
 
+from scsr_opt._arrays import own
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 
@@ -10,11 +12,12 @@ FASTEST = 1e6
 
 
 def validate_motion(motion: Motion, height: int, width: int) -> Motion:
-    """`motion`, if it can be used for a sensor of (h, w).
+    """A copy of `motion`, if it can be used for a sensor of (h, w).
 
     **Raises:** `InputError` if a field has another shape than such a sensor asks for, or values that are not finite or
     a velocity above `FASTEST`, or if a label names no layer.
     """
+    motion = jax.tree.map(lambda field: own(field, "A field of motion"), motion)
     picture = (height, width)
     wanted: dict[str, tuple[np.ndarray, tuple[int, ...]]] = {
         "velocity": (motion.velocity, (2, *picture)),
@@ -50,8 +53,8 @@ def validate_motion(motion: Motion, height: int, width: int) -> Motion:
             f"motion.layers.label holds other numbers than those of the {len(motion.layers.depth)} layers, from 0."
         )
     if motion.layers is not None:
-        own = Motion.of_layers(motion.layers, motion.confidence)
-        if not np.allclose(own.velocity, motion.velocity) or not np.allclose(own.acceleration, motion.acceleration):
+        moves = Motion.of_layers(motion.layers, motion.confidence)
+        if not np.allclose(moves.velocity, motion.velocity) or not np.allclose(moves.acceleration, motion.acceleration):
             raise InputError(
                 "motion.velocity or motion.acceleration is not that of the layers which its labels name; make such "
                 "a motion by Motion.of_layers."

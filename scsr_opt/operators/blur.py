@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._arrays import as_array
 from scsr_opt.errors import InputError
 from scsr_opt.operators.operator import LinearOperator, picture_shape
 
@@ -129,7 +130,7 @@ def _gaussian(sigma: float | int, truncate: float | int, most: int) -> Float[np.
 
 
 def _unit_sum(psf: ArrayLike) -> Float[Array, "kh kw"]:
-    kernel = np.asarray(psf, dtype=np.float64)
+    kernel = as_array(psf, "The PSF").astype(np.float64)
     if kernel.ndim != 2 or any(size % 2 == 0 for size in kernel.shape):
         raise InputError(
             f"Blur was given a PSF of shape {kernel.shape}; it needs two odd sides, so that there is a centre: "

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt.errors import InputError
-from scsr_opt.operators.operator import LinearOperator
+from scsr_opt.operators.operator import LinearOperator, held
 from scsr_opt.operators.warp import Warp
 
 
@@ -43,7 +43,7 @@ class Observation(LinearOperator):
     valid: Bool[Array, "N h w"]
 
     def __init__(self, displacement: ArrayLike, sensor: LinearOperator, *, coverage: float = 0.999):
-        displacement = jnp.asarray(displacement)
+        displacement = held(displacement, "Observation's displacement")
         if displacement.ndim != 4 or displacement.shape[0] < 1 or displacement.shape[1] != 2:
             raise InputError(
                 f"Observation was given displacements of shape {displacement.shape}; it needs (N, 2, H, W), N ≥ 1."

@@ -12,10 +12,12 @@ because a picture of a wrong shape would otherwise often broadcast its way to a 
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import compiled, ready
 from scsr_opt.errors import InputError
 
@@ -113,9 +115,15 @@ def picture_shape(shape: tuple[int, int], name: str) -> tuple[int, int]:
     return int(sizes[0]), int(sizes[1])
 
 
+def held(value: ArrayLike, name: str) -> Array:
+    """`value` as an array that an operator may keep: not a view of what the user may write to. **Raises:** `InputError`
+    as `as_array`."""
+    return jnp.array(value if isinstance(value, jax.Array) else as_array(value, name))
+
+
 def _checked(x: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     ready()
-    x = jnp.asarray(x)
+    x = x if isinstance(x, jax.Array) else jnp.asarray(as_array(x, f"What {name} was given"))
     if x.shape != shape:
         raise InputError(f"{name} was given an array of shape {x.shape}; it takes {shape}.")
     if not jnp.issubdtype(x.dtype, jnp.floating):

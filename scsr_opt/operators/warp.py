@@ -6,7 +6,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt.errors import InputError
-from scsr_opt.operators.operator import LinearOperator
+from scsr_opt.operators.operator import LinearOperator, held
 
 
 class Warp(LinearOperator):
@@ -29,7 +29,7 @@ class Warp(LinearOperator):
     displacement: Float[Array, "2 H W"]
 
     def __init__(self, displacement: ArrayLike):
-        displacement = jnp.asarray(displacement)
+        displacement = held(displacement, "Warp's displacement")
         if displacement.ndim != 3 or displacement.shape[0] != 2 or 0 in displacement.shape:
             raise InputError(
                 f"Warp was given a displacement of shape {displacement.shape}; it needs (2, H, W), rows first, "

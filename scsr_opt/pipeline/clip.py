@@ -52,10 +52,9 @@ class Clip(NamedTuple):
         start, stop = recording.around(key, whole(frames, "frames", 1))
         rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
         bad = bad_pixels_of(recording, bad_pixels)
-        if bad is None:
-            return cls(recording.source.view(start, stop), key - start, rate, bad, start)
         spikes = recording.window(start, stop)
-        spikes[:, bad] = 0  # no later stage reads what a bad pixel fired
+        if bad is not None:
+            spikes[:, bad] = 0  # no later stage reads what a bad pixel fired
         return cls(spikes, key - start, rate, bad, start)
 
     @property

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from scsr_opt._arrays import as_array, own
 from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, rectangle, whole
-from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.recording import Recording, checked_white_rate
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
@@ -128,8 +129,8 @@ class Options:
         return dataclasses.replace(options or cls(), **changes)
 
     def validated(self, recording: Recording, scale: int) -> "Options":
-        """These options for a recording and scale: checked, numbers as Python's, and the default prior and way of
-        sampling in the place of None.
+        """These options for a recording and scale: checked, arrays copied and cut to the crop, and the default prior
+        and sampling rule in the place of None.
 
         **Raises:** `InputError` for what cannot be used.
         """
@@ -150,9 +151,10 @@ class Options:
         prior = default_prior(scale) if self.prior is None else self.prior
         if self.solver is not None:
             self.solver.check(prior)
-        if isinstance(self.motion, Motion):
-            validate_motion(self.motion, height, width)
-        elif not isinstance(self.motion, Estimator | None):
+        motion, bad = self.motion, cut_out(self.bad_pixels, sensor, crop)
+        if isinstance(motion, Motion):
+            motion = validate_motion(motion, height, width)
+        elif not isinstance(motion, Estimator | None):
             raise InputError(
                 f"motion is {self.motion!r}; it must be a Motion, such as Motion.constant((0.1, 0.2), ({height}, "
                 f"{width})) or Motion.of_velocity(array), or an Estimator such as Global()."
@@ -163,11 +165,14 @@ class Options:
         return dataclasses.replace(
             self,
             samples=Intervals() if self.samples is None else self.samples,
-            bad_pixels=cut_out(self.bad_pixels, sensor, crop),
+            motion=motion,
+            bad_pixels=None if bad is None else own(bad, "bad_pixels"),
             gain=gain,
             crop=crop,
             prior=prior,
             strength=strength,
+            frames=whole(self.frames, "frames", 1),
+            white_rate=None if self.white_rate is None else checked_white_rate(self.white_rate),
             refine=whole(self.refine, "refine", 0),
             keep_images=flag(self.keep_images, "keep_images"),
         )
@@ -205,11 +210,10 @@ class Options:
 
 def cut_out(values: Any, sensor: tuple[int, int], crop: tuple[int, int, int, int] | None) -> Any:
     """`values` for the pixels of `crop`: cut out where they are given for each pixel of the sensor, (…, h, w)."""
-    try:
-        array = np.asanyarray(values)
-    except (TypeError, ValueError, RuntimeError):
-        return values  # refused by the check of what it is for
-    if crop is None or array.shape[-2:] != sensor:
+    if values is None or crop is None:
+        return values
+    array = as_array(values, "An array of the pixels")
+    if array.shape[-2:] != sensor:
         return values
     top, left, height, width = crop
     return array[..., top : top + height, left : left + width]

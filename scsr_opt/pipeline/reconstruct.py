@@ -27,7 +27,7 @@ from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.task import Task
 from scsr_opt.pipeline.updates import GainUpdate, MotionRefinement
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Status
 
@@ -59,12 +59,16 @@ def reconstruct(
     - `progress`: is told of the iterations.
     - `throw`: raise `SolveError` where the solve fails. By default the failure is in `Solution.status`.
 
+    Arrays that are given are copied or read before it returns, and never written to; those of the `Solution` are the
+    caller's own.
+
     **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity, 1 = white.
 
     **Raises:** `InputError` if an argument cannot be used.
     """
+    check_progress(progress)
     task = task_of(spikes, scale, key, Options.of(options, changes))
-    solution = solve(assemble_task(task), state, progress)
+    solution = solve(assemble_task(task), state, progress).handed_out()
     if throw and not solution.status.usable:
         raise SolveError(solution.status.message)
     return solution

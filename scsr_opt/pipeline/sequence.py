@@ -36,7 +36,7 @@ from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.reconstruct import solve, task_of
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.pipeline.task import Task
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 
 # Frames over which a motion is carried on at most: as long as some of the frames it was estimated from are used. On a
 # recording of a car passing, moving pixels that were held out were predicted as well as by a motion estimated anew
@@ -84,6 +84,7 @@ def reconstruct_sequence(
     is called, for keys that are no frames of the recording.
     """
     ready()
+    check_progress(progress)
     for name in ("key", "state"):
         if name in changes:
             raise InputError(f"reconstruct_sequence was given {name}; it finds that itself, picture by picture.")
@@ -94,8 +95,9 @@ def reconstruct_sequence(
         )
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     frames, scale = _frames(keys, recording), whole(scale, "scale", 1)
-    asked.validated(recording, scale)  # refuses what cannot be used now, not with the first picture
-    return _pictures(recording, frames, scale, asked, progress)
+    # Refuses what cannot be used now, not with the first picture, and copies arrays that the caller may overwrite.
+    asked = asked.validated(recording, scale)
+    return _pictures(replace(recording), frames, scale, asked, progress)
 
 
 def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
@@ -189,7 +191,7 @@ def _pictures(
                     followed = _Followed(solution.motion, now.key, share, λ, solution.gain)
                 before = None if followed is None else (now.key, solution)
                 done += 1
-                yield solution
+                yield solution.handed_out()
                 if followed is not now.followed:
                     break  # the pictures that were begun follow another motion
 

@@ -1,5 +1,7 @@
 """What a reconstruction returns: `Solution`, its picture with all that is known of how it was found."""
 
+import copy
+import functools
 import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -52,9 +54,9 @@ class Diagnostics:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True)
 class Solution:
-    """A reconstruction.
+    """A reconstruction. Its arrays are the caller's own: `solution.image *= 255` is fine.
 
     **Fields:**
     - `image`: (H, W) float32, intensity, 1 = white, linear.
@@ -89,12 +91,17 @@ class Solution:
         """The recording of the part of the sensor that was solved for."""
         return self.recording if self.crop is None else self.recording.crop(*self.crop)
 
-    @property
+    def handed_out(self) -> "Solution":
+        """A copy whose arrays may be written to: those that the solve made may be views of JAX's, or are needed for the
+        next picture. Recording, stages and state are shared, as nobody else writes to them."""
+        return copy.deepcopy(self, {id(part): part for part in (self.recording, self.stages, self.state)})
+
+    @functools.cached_property  # an ordinary property could not be multiplied in place
     def velocity(self) -> Float[np.ndarray, "2 h w"] | None:
         """Velocity of the motion, float32, sensor pixels per frame ([0] rows, [1] columns)."""
         return None if self.motion is None else self.motion.velocity
 
-    @property
+    @functools.cached_property
     def confidence(self) -> Float[np.ndarray, "h w"] | None:
         """How far that velocity can be trusted, in [0, 1]."""
         return None if self.motion is None else self.motion.confidence

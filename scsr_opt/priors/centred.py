@@ -7,6 +7,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt.errors import InputError
+from scsr_opt.operators.operator import held
 from scsr_opt.priors.bounded import Bounded
 from scsr_opt.priors.prior import Prior
 
@@ -38,7 +39,7 @@ class Centred(Prior[Any]):
                 "Centred was given a prior that is Bounded, and would bound the difference from the centre; take "
                 "Bounded(Centred(prior, centre)) instead."
             )
-        picture = jnp.asarray(centre)
+        picture = held(centre, "The centre")
         if not jnp.issubdtype(picture.dtype, jnp.floating):
             picture = picture.real.astype(jnp.float32)
         wrong = int(jnp.count_nonzero(~jnp.isfinite(picture)))

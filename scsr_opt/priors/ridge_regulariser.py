@@ -18,6 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import positive
@@ -96,7 +97,10 @@ class RidgeRegulariser(Prior[RidgeState]):
     concavity: float = eqx.field(static=True)
 
     def __init__(self, filters: ArrayLike, knots: ArrayLike, slopes: ArrayLike, accuracy: float | int = 0.2):
-        bank, τ, s = (np.asarray(values, np.float64) for values in (filters, knots, slopes))
+        bank, τ, s = (
+            as_array(values, f"RidgeRegulariser's {name}").astype(np.float64)
+            for name, values in (("filters", filters), ("knots", knots), ("slopes", slopes))
+        )
         _check(bank, τ, s)
         norm_squared = bank_norm_squared(bank)
         self.filters, self.knots, self.slopes = (jnp.asarray(values, jnp.float32) for values in (bank, τ, s))

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 from numpy.typing import ArrayLike
 
+from scsr_opt._arrays import as_array
 from scsr_opt.errors import InputError
 from scsr_opt.report.files import read_meanwhile, whole_file
 
@@ -334,10 +335,7 @@ def _encoder() -> str:
 
 def _checked(image: Any, what: str = "The picture") -> Float[np.ndarray, "H W"]:
     """`image` as float32. **Raises:** `InputError`, in which `what` names it, if it is no picture of intensities."""
-    try:
-        array = np.asarray(image)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{what} is no array of numbers ({error}); a picture is (rows, columns).") from error
+    array = as_array(image, what)
     if array.ndim != 2 or 0 in array.shape:
         raise InputError(f"{what} has shape {array.shape}, but a picture is (rows, columns), with one pixel at least.")
     if array.dtype.kind in "cOSUmM" or array.dtype.names:

@@ -10,7 +10,7 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.loop import Record
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import ProximalGradient, ProximalGradientState, momentum
-from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative
+from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
 # λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
 _FLATTEST = 1e-3
@@ -82,4 +82,4 @@ class DataProximal(ProximalGradient):
             momentum=t,
             objective=objective,
         )
-        return following, Record(data, penalty, residual, jnp.full_like(residual, jnp.nan), τ)
+        return following, Record(data, penalty, residual, jnp.full_like(residual, UNMEASURED), τ)

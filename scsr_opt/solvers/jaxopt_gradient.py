@@ -28,7 +28,7 @@ from scsr_opt.priors.checks import whole
 from scsr_opt.priors.patience import patient
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
-from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative
+from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
 
 class JaxoptState(NamedTuple):
@@ -75,7 +75,7 @@ class _Jaxopt(Solver[JaxoptState]):
         residual = relative(jnp.linalg.norm(image - ahead), image)
         value, prior = problem.data.value(image), problem.strength * problem.prior.value(image)
         return JaxoptState(image, ahead - β * inner.aux, inner, β), Record(
-            value, prior, residual, jnp.full_like(residual, jnp.nan), β
+            value, prior, residual, jnp.full_like(residual, UNMEASURED), β
         )
 
     def image(self, state: JaxoptState) -> Float[Array, "H W"]:

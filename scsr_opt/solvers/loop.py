@@ -16,7 +16,7 @@ from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
-from scsr_opt.progress import Progress
+from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.linear_solve import LinearSolve
 from scsr_opt.solvers.problem import Problem, with_bound
 from scsr_opt.solvers.record import Stage, Status, TileIterations
@@ -32,7 +32,7 @@ CORRECTED_AFTER = 4
 
 
 class Record(NamedTuple):
-    """The numbers of a `Stage`, as arrays."""
+    """The numbers of a `Stage`, as arrays; `scsr_opt.solvers.stopping.UNMEASURED` where a gap is not measured."""
 
     data: Float[Array, "..."]
     prior: Float[Array, "..."]
@@ -161,6 +161,7 @@ def run(
     not finite, or a prior that the solver cannot use.
     """
     ready()
+    check_progress(progress)
     begin = time.perf_counter()
     image, problem = problem.start if image is None else image, dataclasses.replace(problem, start=None)
     if image is None:
@@ -200,8 +201,8 @@ def run(
             pictures: dict[str, Any] = {}
             if keep_images:
                 pictures = {
-                    "image": np.asarray(solver.image(state)),
-                    "gradient_step": np.asarray(solver.gradient_step(problem, state)),
+                    "image": np.array(solver.image(state)),
+                    "gradient_step": np.array(solver.gradient_step(problem, state)),
                 }
             for record in table[:done]:
                 stages.append(Stage.of(len(stages) + 1, record, seconds, **pictures))
@@ -223,7 +224,8 @@ def run(
             progress.finish()
     # Splitting methods keep to bounds in a copy, which the picture only tends to.
     found = problem.prior.clip(solver.image(state))
-    return Outcome(np.asarray(found), tuple(stages), status, state)
+    # A copy, which can be written to; the state keeps its own.
+    return Outcome(np.array(found), tuple(stages), status, state)
 
 
 def _check_state(solver: Solver, problem: Problem, state: Any) -> None:

@@ -27,7 +27,7 @@ from scsr_opt.priors.checks import whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
-from scsr_opt.solvers.stopping import FixedPoint, Stopping, relative
+from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
 # How much F may rise and still count as lower, in ε|F|: it is a sum of many numbers, and differs so much by rounding.
 _SLACK = 5
@@ -139,7 +139,7 @@ class Smooth(Solver[SmoothState]):
         slope = inner.f_info.grad / state.step_size
         residual = relative(state.step_size * jnp.linalg.norm(slope), image)
         inner, _ = eqx.partition(inner, eqx.is_array)
-        record = Record(data, penalty, residual, jnp.full_like(residual, jnp.nan), state.step_size)
+        record = Record(data, penalty, residual, jnp.full_like(residual, UNMEASURED), state.step_size)
         return state._replace(image=image, slope=slope, inner=inner), record
 
     def kept(self, state: SmoothState) -> SmoothState:

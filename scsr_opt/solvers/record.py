@@ -77,6 +77,7 @@ class Stage:
     def of(cls, number: int, record: Iterable[SupportsFloat], seconds: float, **pictures: Any) -> "Stage":
         """Of the numbers of a `scsr_opt.solvers.Record`."""
         data, prior, residual, gap, step_size = map(float, record)
+        gap = float("nan") if gap < 0 else gap  # `scsr_opt.solvers.stopping.UNMEASURED`
         return cls(number, data + prior, data, prior, residual, step_size, seconds, **pictures, gap=gap)
 
 

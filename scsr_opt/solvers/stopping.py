@@ -29,6 +29,10 @@ from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.checks import finite
 from scsr_opt.priors.prior import Prior
 
+# Stands for a duality gap that is not measured, which no gap can be: none is below 0. NaN would do as well, but under
+# `JAX_DEBUG_NANS=1` no compiled program may return one; `Stage.of` makes NaN of it where no program sees it.
+UNMEASURED = -1.0
+
 
 class Evidence(NamedTuple):
     """What an iteration knows of its picture: `image` X, `objective` F(X), `slope` r, `misfit` g (None where the prior
@@ -50,7 +54,7 @@ class Stopping(eqx.Module):
 
     @abc.abstractmethod
     def gap(self, evidence: Evidence) -> Float[Array, ""]:
-        """The relative duality gap for the record; NaN where it is not measured."""
+        """The relative duality gap for the record; `UNMEASURED` where it is not."""
 
     @abc.abstractmethod
     def measure(self, residual: Float[Array, ""], gap: Float[Array, ""]) -> Float[Array, ""]:
@@ -69,7 +73,7 @@ class FixedPoint(Stopping):
         """Serves every prior."""
 
     def gap(self, evidence: Evidence) -> Float[Array, ""]:
-        return jnp.full((), jnp.nan, evidence.image.dtype)
+        return jnp.full((), UNMEASURED, evidence.image.dtype)
 
     def measure(self, residual: Float[Array, ""], gap: Float[Array, ""]) -> Float[Array, ""]:
         return residual

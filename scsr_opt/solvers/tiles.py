@@ -26,7 +26,7 @@ from scipy.ndimage import maximum_filter
 
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.solvers.loop import CORRECTED_AFTER, Correction, Outcome, Record, Solver, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
@@ -76,6 +76,7 @@ def run_tiles(
     Each `Stage` is an iteration of the whole picture. The solver's limit of iterations holds for each tile; where it is
     met, tiles may have changed since the last stage.
     """
+    check_progress(progress)
     if progress is not None:
         progress.start(solver.iterations, "solving")
     try:
@@ -191,7 +192,7 @@ def _run(
             if corrected(state.image, enough) is None:
                 break
             stale = True
-    found = np.asarray(current.prior.clip(state.image))
+    found = np.array(current.prior.clip(state.image))
     return Outcome(found, tuple(stages), status, state, TileIterations(len(stages), alone, side, worst, limit))
 
 

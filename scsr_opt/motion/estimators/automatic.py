@@ -4,6 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
@@ -11,6 +12,7 @@ from scipy import ndimage
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
+from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
 from scsr_opt.motion.estimators.base import Estimator
@@ -331,8 +333,15 @@ def estimate_motion(
     `bad_pixels` are filled from their neighbours before anything is compared. A recording of fewer than three
     frames shows no motion.
     """
-    pictures = comparable(spikes, key=key, white_rate=white_rate, bad_pixels=bad_pixels, gain=gain)
-    return Motion.none(*spikes.shape[1:]) if pictures is None else motion_in(pictures, estimator)
+    spikes = as_array(spikes, "The array of spikes")
+    bad, gains = (
+        None if value is None else as_array(value, name) for name, value in (("bad_pixels", bad_pixels), ("gain", gain))
+    )
+    pictures = comparable(spikes, key=key, white_rate=white_rate, bad_pixels=bad, gain=gains)
+    if pictures is None:
+        return Motion.none(*spikes.shape[1:])
+    # Arrays of the caller's own, which can be written to.
+    return jax.tree.map(np.array, motion_in(pictures, estimator))
 
 
 def motion_in(pictures: MotionFrames, estimator: Estimator | None = None) -> Motion:

@@ -1,0 +1,40 @@
+"""Arrays that users hand in, read at one door: never without their mask, and never raw where they cannot be read."""
+
+from typing import Any
+
+import numpy as np
+
+from scsr_opt.errors import InputError
+
+
+def as_array(value: Any, name: str) -> np.ndarray:
+    """`value` as a NumPy array, which may share its memory.
+
+    **Arguments:** `value`: anything that NumPy makes an array of; `name`: of it in errors.
+
+    **Raises:** `InputError` if it is a masked array (or a list of some), whose mask would be ignored, a list whose
+    parts differ in length, or something that NumPy cannot read, such as a tensor on another device.
+    """
+    parts = value if isinstance(value, list | tuple) else [value]
+    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
+        raise InputError(
+            f"{name} is a masked array, whose mask would be ignored; hand in array.filled(value), and mark pixels that "
+            f"must not be used by bad_pixels."
+        )
+    try:
+        return np.asarray(value)
+    except Exception as error:  # whatever the `__array__` of another library raises
+        if isinstance(value, list | tuple) and isinstance(error, ValueError):
+            raise InputError(
+                f"{name} is a list whose parts differ in length; every row must be as long as the others."
+            ) from None
+        why = " ".join(str(error).split()).split(". ")[0].rstrip(".")
+        raise InputError(
+            f"{name} is a {type(value).__name__} that NumPy cannot read ({type(error).__name__}: {why}); hand in a "
+            f"NumPy array, for example tensor.detach().cpu().numpy()."
+        ) from error
+
+
+def own(value: Any, name: str) -> np.ndarray:
+    """A copy of `value` as a NumPy array that nobody else writes to. **Raises:** as `as_array`."""
+    return np.array(as_array(value, name))

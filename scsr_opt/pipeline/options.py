@@ -84,7 +84,7 @@ class Options:
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
-    - `strength`: λ; if None, the one that predicts held-out intervals best (`validated_strength`), or, with a robust
+    - `strength`: λ; if None, the one that predicts held-out intervals best (`StrengthSearch`), or, with a robust
       loss, the one by their noise. `PlugAndPlay` needs one.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting. No intervals are merged then.
     - `solver`: if None, `FISTA`, or where nothing moves `DataProximal` (`default_solver`). Its limit of iterations

@@ -16,7 +16,8 @@ from scsr_opt.errors import InputError
 from scsr_opt.report import Report, check_writable, read_picture, whole_file, write_film, write_picture
 
 PICTURE = np.random.default_rng(0).random((40, 60)).astype(np.float32)
-SPIKES = (np.random.default_rng(0).random((30, 40, 60)) < 0.3).astype(np.uint8)
+CHARGE = np.random.default_rng(0).random((40, 60)) + 0.3 * np.arange(31)[:, None, None]
+SPIKES = np.diff(np.floor(CHARGE), axis=0).astype(np.uint8)  # regular, as those of a camera
 REPORT = Report({"name": "x" * 5000}, {}, {}, None, {}, None, None, [], {}, {})
 
 

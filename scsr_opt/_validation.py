@@ -6,11 +6,10 @@ from collections.abc import Callable
 from typing import Any, SupportsFloat
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
-from scsr_opt.camera.recording import Recording, checked_settings
 from scsr_opt.errors import InputError
 
 # Pixels of the largest picture: a solve holds about 40 numbers for each, 16 GB in all.
@@ -61,14 +60,15 @@ def check_type(value: object, kind: type, name: str, example: str) -> None:
         raise InputError(f"{name} is {value!r}; it must be a {kind.__name__}, such as {example}.")
 
 
-def picture_shape(recording: Recording, scale: int) -> tuple[int, int]:
-    """(s·h, s·w). **Raises:** `InputError` if such a picture does not fit into memory."""
-    if scale**2 * recording.height * recording.width > _MOST_PIXELS:
+def picture_shape(sensor: tuple[int, int], scale: int) -> tuple[int, int]:
+    """(s·h, s·w) of a `sensor` (h, w). **Raises:** `InputError` if such a picture does not fit into memory."""
+    height, width = sensor
+    if scale**2 * height * width > _MOST_PIXELS:
         raise InputError(
-            f"At scale {scale} the picture would have {scale**2 * recording.height * recording.width / 1e6:.0f} "
-            f"million pixels; at most {_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale, or a crop."
+            f"At scale {scale} the picture would have {scale**2 * height * width / 1e6:.0f} million pixels; at most "
+            f"{_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale, or a crop."
         )
-    return scale * recording.height, scale * recording.width
+    return scale * height, scale * width
 
 
 def rectangle(crop: Any, name: str = "crop") -> tuple[int, int, int, int]:
@@ -82,14 +82,6 @@ def rectangle(crop: Any, name: str = "crop") -> tuple[int, int, int, int]:
             f"{name} is {crop!r}; it must be (top, left, height, width), four whole numbers of sensor pixels."
         ) from error
     return top, left, height, width
-
-
-def bad_pixels_of(recording: Recording, more: ArrayLike | None) -> Bool[np.ndarray, "h w"] | None:
-    """Those of the recording and `more`; None if nothing is known of any. **Raises:** as `Recording`."""
-    mask = checked_settings(recording.shape, recording.readout_rate, recording.white_rate, more)["bad_pixels"]
-    if mask is None or recording.bad_pixels is None:
-        return recording.bad_pixels if mask is None else mask
-    return mask | recording.bad_pixels
 
 
 def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h w"]:

@@ -27,7 +27,7 @@ from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.pipeline.assembly import assemble_task
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.options import Options
-from scsr_opt.pipeline.reconstruct import task_of
+from scsr_opt.pipeline.task import task_of
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem
@@ -81,7 +81,7 @@ def reference_clip(
     ready()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
-    picture_shape(recording, scale)
+    picture_shape((recording.height, recording.width), scale)
     return ReferenceClip(recording, scale, Clip.around(recording, key, white_rate=white_rate))
 
 

@@ -63,7 +63,7 @@ def part_of(
     check_device()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
-    picture_shape(recording, scale)  # fits into memory
+    picture_shape((recording.height, recording.width), scale)  # fits into memory
     key = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
     rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
     start, stop = recording.around(key, whole(frames, "frames", 1))

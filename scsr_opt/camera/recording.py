@@ -22,6 +22,9 @@ from scsr_opt.errors import InputError
 
 READOUT_RATE = 40_000.0
 """Spike frames per second, where nothing else is known."""
+USUAL_FRAMES = 101
+"""Frames around the key frame that are used by default (2.5 ms at 40 kHz): enough to see every sensor pixel through
+many apertures, short enough for motion to be smooth."""
 WHITE_RATE = 0.6
 """Spikes per frame of intensity 1, where nothing else is known: measured on the REDS set and on real recordings."""
 
@@ -255,3 +258,11 @@ def _mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
             "is bad, for example map > limit."
         )
     return array.astype(bool)  # a copy
+
+
+def bad_pixels_of(recording: Recording, more: Any) -> Bool[np.ndarray, "h w"] | None:
+    """Bad pixels of the recording and `more`; None if nothing is known of any. **Raises:** as `Recording`."""
+    mask = checked_settings(recording.shape, recording.readout_rate, recording.white_rate, more)["bad_pixels"]
+    if mask is None or recording.bad_pixels is None:
+        return recording.bad_pixels if mask is None else mask
+    return mask | recording.bad_pixels

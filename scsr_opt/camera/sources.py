@@ -80,8 +80,9 @@ class ArraySource(SpikeSource):
 
     @classmethod
     def of(cls, array: UInt8[np.ndarray, "T h w"]) -> "ArraySource":
-        """Of an array (T, h, w) with any strides, 0 and 1 already checked."""
-        return cls(pack(array, array.shape[2], flipped=False), checked_shape(array.shape, "The array"))
+        """A packed copy of an array (T, h, w) with any strides, 0 and 1 already checked."""
+        shape = checked_shape(array.shape, "The array")
+        return cls(np.packbits(array.reshape(shape[0], -1), axis=1, bitorder="little"), shape)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.metadata import entry_points
 
 from cyclopts import App
 
 from scsr_opt.cli.baseline import baseline
-from scsr_opt.cli.compare import compare
 from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.demo import demo
 from scsr_opt.cli.film import film
@@ -23,7 +23,6 @@ from scsr_opt.cli.options import say_error
 from scsr_opt.cli.play import play
 from scsr_opt.cli.simulate import simulate
 from scsr_opt.cli.solve import solve
-from scsr_opt.cli.train import train
 from scsr_opt.cli.wording import sentence
 
 
@@ -44,7 +43,8 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (info, simulate, play, solve, film, baseline, demo, train, compare):
+_added = sorted(entry_points(group="scsr.commands"), key=lambda entry: entry.name)
+for _command in (info, simulate, play, solve, film, baseline, demo, *(entry.load() for entry in _added)):
     # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
     app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
 
@@ -86,7 +86,7 @@ def _warnings_in_one_line() -> Iterator[None]:
     """Shows the project's own warnings as one line each; those of libraries are for developers and not shown."""
 
     def show(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
-        if issubclass(category, UserWarning) and "scsr_opt" in filename:
+        if issubclass(category, UserWarning) and ("scsr_opt" in filename or "learned" in filename):
             print("scsr: warning:", " ".join(str(message).split()), file=sys.stderr, flush=True)
 
     with warnings.catch_warnings():

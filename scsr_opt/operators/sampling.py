@@ -307,7 +307,7 @@ def place(
     - `on_sensor`: whether the grid of U is the sensor's, for a path along which nothing moves.
 
     A sample that leaves the picture at any time of its exposure is dropped; what is left of it inside is for the
-    caller to cut out (`scsr_opt.pipeline.measurement.measured`). Counting such samples for the part of them inside, as
+    caller to cut out (`scsr_opt.pipeline.measurement.measure`). Counting such samples for the part of them inside, as
     they are, costs 1 dB where a lens blurs across the border.
 
     **Raises:** `InputError` if `finest` is another number.

@@ -6,12 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Shaped
 from numpy.typing import ArrayLike
 
-from scsr_opt._validation import bad_pixels_of, whole
-from scsr_opt.camera.recording import Recording, checked_white_rate
-
-FRAMES = 101
-"""Spike frames around the key frame that are used by default (2.5 ms at 40 kHz): enough to see every sensor pixel
-through many apertures, short enough for motion to be smooth."""
+from scsr_opt._validation import whole
+from scsr_opt.camera.recording import USUAL_FRAMES, Recording, bad_pixels_of, checked_white_rate
 
 
 class Clip(NamedTuple):
@@ -37,7 +33,7 @@ class Clip(NamedTuple):
         recording: Recording,
         key: SupportsIndex | None = None,
         *,
-        frames: SupportsIndex = FRAMES,
+        frames: SupportsIndex = USUAL_FRAMES,
         white_rate: SupportsFloat | None = None,
         bad_pixels: ArrayLike | None = None,
     ) -> "Clip":

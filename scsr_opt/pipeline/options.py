@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array, own
 from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, rectangle, whole
-from scsr_opt.camera.recording import Recording, checked_white_rate
+from scsr_opt.camera.recording import USUAL_FRAMES, Recording, checked_white_rate
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
@@ -20,7 +20,6 @@ from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.losses import Loss
-from scsr_opt.pipeline.clip import FRAMES
 from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.priors.prior import Prior
@@ -97,7 +96,7 @@ class Options:
     - `keep_images`: every stage keeps its pictures.
     """
 
-    frames: SupportsIndex = FRAMES
+    frames: SupportsIndex = USUAL_FRAMES
     white_rate: SupportsFloat | None = None
     motion: Motion | Estimator | None = None
     bad_pixels: ArrayLike | None = None

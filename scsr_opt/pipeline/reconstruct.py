@@ -16,16 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scsr_opt._kernels.programs import ready
-from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.saturation import share_saturated, spike_counts
 from scsr_opt.errors import InputError, SolveError
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
-from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.solution import Diagnostics, Solution
-from scsr_opt.pipeline.task import Task
+from scsr_opt.pipeline.task import task_of
 from scsr_opt.pipeline.updates import GainUpdate, MotionRefinement
 from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.problem import Problem
@@ -97,18 +94,6 @@ def assemble(
     if not assembly.usable:
         raise InputError(f"There is no problem to assemble: {Status.no_samples.clause}.")
     return assembly.problem()
-
-
-def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIndex | None, options: Options) -> Task:
-    """The clip around a key frame with its validated options. **Raises:** `InputError` for what cannot be used."""
-    ready()
-    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    scale = whole(scale, "scale", 1)
-    options = options.validated(recording, scale)
-    part = recording if options.crop is None else recording.crop(*options.crop)
-    picture_shape(part, scale)  # refuses pictures that do not fit into memory
-    clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels)
-    return Task(recording, scale, options, clip)
 
 
 def solve(assembly: Assembly, state: Any = None, progress: Progress | None = None) -> Solution:

@@ -33,9 +33,9 @@ from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import PlacedSamples
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
-from scsr_opt.pipeline.reconstruct import solve, task_of
+from scsr_opt.pipeline.reconstruct import solve
 from scsr_opt.pipeline.solution import Solution
-from scsr_opt.pipeline.task import Task
+from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.progress import Progress, check_progress
 
 # Frames over which a motion is carried on at most: as long as some of the frames it was estimated from are used. On a

@@ -1,10 +1,14 @@
 """A clip, a scale and options, and the stages that need nothing else: motion, samples, summary of the scene."""
 
 from dataclasses import dataclass
+from typing import SupportsIndex
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
+from scsr_opt._kernels.programs import ready
+from scsr_opt._validation import picture_shape, whole
 from scsr_opt.calibration.gain_network import gain_at_rest
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import Intervals
@@ -130,3 +134,15 @@ class Task:
         )
         # Only intervals are ever merged.
         return summary if isinstance(self.options.samples, Intervals) else summary.unmerged()
+
+
+def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIndex | None, options: Options) -> Task:
+    """The clip around a key frame with its validated options. **Raises:** `InputError` for what cannot be used."""
+    ready()
+    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
+    scale = whole(scale, "scale", 1)
+    options = options.validated(recording, scale)
+    part = recording if options.crop is None else recording.crop(*options.crop)
+    picture_shape((part.height, part.width), scale)  # refuses pictures that do not fit into memory
+    clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels)
+    return Task(recording, scale, options, clip)

@@ -54,8 +54,8 @@ class DataProximal(ProximalGradient):
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
         if not problem.data.apart:
             raise InputError(
-                "DataProximal was given data whose pixels overlap, as where something moves, a lens blurs or skip is "
-                "False; it is for scenes at rest: take FISTA, which serves all."
+                "DataProximal was given data whose pixels overlap, as where something moves, a lens blurs or the "
+                "sensor grid is not used (Shortcuts); it is for scenes at rest: take FISTA, which serves all."
             )
         assert problem.prior.lipschitz is not None  # `check` saw to it
         steepest = problem.strength * problem.prior.lipschitz

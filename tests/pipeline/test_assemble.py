@@ -16,7 +16,7 @@ from scsr_opt.motion import Motion
 from scsr_opt.operators import Huber, PlacedSamples, accumulate
 from scsr_opt.operators.exposure import ExposedStencil
 from scsr_opt.pipeline.assembly import assemble_task
-from scsr_opt.pipeline.reconstruct import task_of
+from scsr_opt.pipeline.task import task_of
 from scsr_opt.priors import HuberTotalVariation, Prior
 from scsr_opt.solvers import FISTA, LBFGS, Problem, Solver, Status, run
 

@@ -8,7 +8,7 @@ import pytest
 import scsr_opt._validation
 from scsr_opt import InputError, Options, Recording, reconstruct, reconstruct_sequence
 from scsr_opt.motion import Motion
-from scsr_opt.pipeline.reconstruct import task_of
+from scsr_opt.pipeline.task import task_of
 
 FRAMES, HEIGHT, WIDTH = 21, 12, 18
 CROP = (3, 5, 6, 7)

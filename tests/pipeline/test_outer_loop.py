@@ -12,7 +12,8 @@ from scsr_opt.motion import Motion
 from scsr_opt.operators import accumulate, with_exposure
 from scsr_opt.pipeline import outer_loop
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
-from scsr_opt.pipeline.reconstruct import solve, task_of
+from scsr_opt.pipeline.reconstruct import solve
+from scsr_opt.pipeline.task import task_of
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import NoProgress
 from scsr_opt.solvers import ADMM, FISTA, ISTA, LBFGS, ChambollePock, CondatVu, JaxoptFISTA, NonlinearCG, Problem, run

@@ -14,9 +14,9 @@ from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Global, Motion
 from scsr_opt.pipeline.assembly import assemble_task
 from scsr_opt.pipeline.options import Options
-from scsr_opt.pipeline.reconstruct import task_of
 from scsr_opt.pipeline.sequence import _frames, _where_seen
 from scsr_opt.pipeline.strength import StrengthSearch
+from scsr_opt.pipeline.task import task_of
 
 PICTURE = data.camera()[90:250, 150:310]
 SCALE = 2

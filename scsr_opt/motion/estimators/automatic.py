@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
+from scsr_opt.camera.recording import USUAL_FRAMES, WHITE_RATE, Recording, bad_pixels_of
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.dense import accelerated, dense
 from scsr_opt.motion.estimators.evidence import (
@@ -319,27 +320,44 @@ def _left(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
 
 
 def estimate_motion(
-    spikes: Shaped[np.ndarray, "T h w"],
+    spikes: Shaped[np.ndarray, "T h w"] | Recording,
     *,
-    key: int,
-    white_rate: float | int = 0.6,
+    key: int | None = None,
+    white_rate: float | int | None = None,
     estimator: Estimator | None = None,
     bad_pixels: np.ndarray | None = None,
     gain: Float[np.ndarray, "h w"] | None = None,
 ) -> Motion:
-    """The motion around frame `key` (index into `spikes`) by `estimator`, `Automatic` if not given, with its trust.
+    """The motion around a key frame, with its trust.
 
-    What a pixel measured is divided by its `gain`, 1 if not given: a fixed pattern rests whatever moves. Pixels in
-    `bad_pixels` are filled from their neighbours before anything is compared. A recording of fewer than three
-    frames shows no motion.
+    **Arguments:**
+    - `spikes`: (T, h, w) of 0 and 1, of which all frames are used, or a `Recording`, of which the 101 frames around the
+      key frame are used, with its white rate and bad pixels.
+    - `key`: the key frame; the middle one if None.
+    - `white_rate`: spikes per frame of a pixel at intensity 1; the recording's, or 0.6, if None.
+    - `estimator`: `Automatic` if None.
+    - `bad_pixels`: (h, w), filled from their neighbours before anything is compared.
+    - `gain`: (h, w), by which measurements are divided: a fixed pattern rests whatever moves. 1 if None.
+
+    **Returns:** the `Motion`; none for fewer than three frames, or a single row or column.
+
+    **Raises:** `InputError` for arrays that cannot be read, and a key frame that is not in the recording.
     """
-    spikes = as_array(spikes, "The array of spikes")
     bad, gains = (
         None if value is None else as_array(value, name) for name, value in (("bad_pixels", bad_pixels), ("gain", gain))
     )
-    pictures = comparable(spikes, key=key, white_rate=white_rate, bad_pixels=bad, gain=gains)
+    if isinstance(spikes, Recording):
+        start, stop = spikes.around(key, USUAL_FRAMES)
+        middle = spikes.frames // 2 if key is None else key
+        rate = spikes.white_rate if white_rate is None else white_rate
+        bad = bad_pixels_of(spikes, bad)
+        frames, key = spikes.window(start, stop), middle - start
+    else:
+        frames = as_array(spikes, "The array of spikes")
+        key, rate = len(frames) // 2 if key is None else key, WHITE_RATE if white_rate is None else white_rate
+    pictures = comparable(frames, key=key, white_rate=rate, bad_pixels=bad, gain=gains)
     if pictures is None:
-        return Motion.none(*spikes.shape[1:])
+        return Motion.none(*frames.shape[1:])
     # Arrays of the caller's own, which can be written to.
     return jax.tree.map(np.array, motion_in(pictures, estimator))
 

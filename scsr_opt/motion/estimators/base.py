@@ -1,4 +1,6 @@
-"""The face that every way of finding the motion has."""
+"""`Estimator`: the base class of everything that finds the motion of a recording."""
+
+import abc
 
 import equinox as eqx
 
@@ -7,7 +9,8 @@ from scsr_opt.motion.trajectory import Motion
 
 
 class Estimator(eqx.Module):
-    """How the motion is found; called by `reconstruct` with the recording's stretches."""
+    """Estimator of the motion around a key frame; `reconstruct` calls it with pictures of the recording's times."""
 
+    @abc.abstractmethod
     def __call__(self, pictures: MotionFrames) -> Motion:
-        raise NotImplementedError
+        """The motion, (h, w), that these pictures show."""

@@ -56,7 +56,6 @@ def compare(
         raise InputError("--models names no model; give some with commas between, such as fista-tv,spikesr-small.")
     if scale < 1:
         raise InputError(f"--scale is {scale}, but it must be at least 1.")
-    # `learned` builds on this package; it is known here by name only, and only while the command runs.
     from learned.evaluation.stage_report import FILES
 
     _check_folder(out, [file, *([] if truth is None else [truth])], FILES, overwrite)

@@ -6,7 +6,7 @@ computed once for a few moments, and interpolated between them: at 40,000 frames
 frames.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
@@ -107,17 +108,16 @@ class Motion(eqx.Module):
     trust: Trust | None = None
 
     @classmethod
-    def of_velocity(
-        cls, velocity: Float[np.ndarray, "2 h w"], confidence: Float[np.ndarray, "h w"] | None = None
-    ) -> "Motion":
-        """Straight motion of constant speed; confidence 1 if not given."""
+    def of_velocity(cls, velocity: ArrayLike, confidence: Float[np.ndarray, "h w"] | None = None) -> "Motion":
+        """Straight motion at constant speed. `velocity`: (2, h, w), sensor pixels per frame; `confidence`: (h, w), 1 if
+        None. **Raises:** `InputError` if NumPy cannot read the velocity."""
         velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
         if confidence is None:
             confidence = np.ones(velocity.shape[1:], np.float32)
         return cls(velocity, np.zeros_like(velocity), np.asarray(confidence, np.float32))
 
     @classmethod
-    def constant(cls, velocity: Sequence[float | int] | np.ndarray, shape: tuple[int, int]) -> "Motion":
+    def constant(cls, velocity: ArrayLike, shape: tuple[int, int]) -> "Motion":
         """One velocity for the whole scene.
 
         **Arguments:** `velocity`: two numbers (down, right), sensor pixels per frame. `shape`: (h, w) of the sensor.

@@ -13,7 +13,7 @@ help:
 	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
 	@echo 'make test        all checks: ruff, pyright, pytest'
 	@echo 'make test-slow   the tests that take longer than half a minute'
-	@echo 'make lint        ruff only            make format   let ruff mend what it can'
+	@echo 'make lint        ruff, import-linter, vulture; make format   let ruff mend what it can'
 	@echo 'make types       pyright only         make pytest   tests only (PYTEST_ARGS="-k name")'
 	@echo 'make notebooks   run the notebooks and save them with their pictures'
 	@echo 'make peers       other libraries on the same two problems (makes their environments; about 11 minutes)'
@@ -41,6 +41,8 @@ test: lint types pytest
 lint: $(DEV_STAMP)
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	.venv/bin/lint-imports
+	$(PY) -m vulture
 
 format: $(DEV_STAMP)
 	$(PY) -m ruff check --fix .

@@ -20,11 +20,12 @@ import jax
 from matplotlib.figure import Figure
 from PIL import Image
 
+from scsr_opt._files import whole_file
 from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.options import check_outputs, progress
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
-from scsr_opt.report import versions, whole_file
+from scsr_opt.report import versions
 
 MARKS = ("<!-- measured: begin -->", "<!-- measured: end -->")
 

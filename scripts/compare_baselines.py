@@ -13,9 +13,10 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from scsr_opt import reconstruct
+from scsr_opt._files import whole_file
 from scsr_opt.baselines import BASELINES
 from scsr_opt.cli.demo_scene import KEY, SCALE, psnr, simulated
-from scsr_opt.report import quantise, whole_file
+from scsr_opt.report import quantise
 
 # The camera and its lens: (top, left, height, width) in pixels of the picture.
 PART = (56, 216, 96, 112)

@@ -4,9 +4,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from scsr_opt._files import whole_file
 from scsr_opt.camera import tfp
 from scsr_opt.cli.demo_scene import KEY, SCALE, run
-from scsr_opt.report import bicubic, compare, detailed_part, whole_file
+from scsr_opt.report import bicubic, compare, detailed_part
 
 
 def main(target: Path) -> None:

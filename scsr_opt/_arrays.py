@@ -1,10 +1,13 @@
 """Arrays that users hand in, read at one door: never without their mask, and never raw where they cannot be read."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scsr_opt.errors import InputError
+
+if TYPE_CHECKING:
+    import jax
 
 
 def as_array(value: Any, name: str) -> np.ndarray:
@@ -38,3 +41,11 @@ def as_array(value: Any, name: str) -> np.ndarray:
 def own(value: Any, name: str) -> np.ndarray:
     """A copy of `value` as a NumPy array that nobody else writes to. **Raises:** as `as_array`."""
     return np.array(as_array(value, name))
+
+
+def held(value: Any, name: str) -> "jax.Array":
+    """A copy of `value` as JAX's array, for an operator or a prior to keep. **Raises:** as `as_array`."""
+    import jax
+    import jax.numpy as jnp  # here, so that reading a recording does not wait for JAX
+
+    return jnp.array(value if isinstance(value, jax.Array) else as_array(value, name))

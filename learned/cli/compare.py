@@ -5,9 +5,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from scsr_opt._files import check_writable
 from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, progress
 from scsr_opt.errors import InputError
-from scsr_opt.report.files import check_writable
 
 
 def compare(

@@ -16,9 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from scsr_opt._files import whole_file
 from scsr_opt.camera.recording import Recording
 from scsr_opt.report.figures import detailed_part
-from scsr_opt.report.files import whole_file
 from scsr_opt.report.summary import plain, versions
 from scsr_opt.solvers.record import Status
 

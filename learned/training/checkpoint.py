@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 
 from learned.training.registry import trainable
+from scsr_opt._files import whole_file
 from scsr_opt.errors import InputError
-from scsr_opt.report.files import whole_file
 
 FORMAT = 1
 """Of the file; a reader refuses others."""

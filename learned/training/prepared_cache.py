@@ -23,9 +23,9 @@ from learned.training.checkpoint import check_same
 from learned.training.data import Examples
 from learned.training.data_loader import batches
 from learned.training.registry import trainable
+from scsr_opt._files import whole_file
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress, check_progress
-from scsr_opt.report.files import whole_file
 
 IN_A_FILE = 8
 """Examples."""

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from skimage.metrics import structural_similarity
 
 from learned.training.data import HELD_OUT_SAMPLES, Example, Examples, Pictures
+from scsr_opt._files import whole_file
 from scsr_opt.camera.playback import tfp
 from scsr_opt.report.figures import bicubic
-from scsr_opt.report.files import whole_file
 from scsr_opt.report.pictures import write_picture
 
 KINDS = ("static", "translation", "affine", "object", "disc")

@@ -17,11 +17,11 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
+from scsr_opt._files import check_writable, read_meanwhile, whole_file
 from scsr_opt.camera.flat import known_sizes, row_layout, show_size
 from scsr_opt.camera.recording import Recording, checked_settings
 from scsr_opt.camera.sources import FlatLayout, pack
 from scsr_opt.errors import InputError
-from scsr_opt.report.files import check_writable, read_meanwhile, whole_file
 
 ENDINGS = (".dat", ".npy", ".npz", ".h5", ".hdf5")
 

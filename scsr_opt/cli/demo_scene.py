@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt._files import whole_file
 from scsr_opt._kernels.device import check_device
 from scsr_opt.camera import Recording, Sensor, Simulation, simulate, tfp, write_recording
 from scsr_opt.camera.scenes import Affine
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.progress import Progress, check_progress
-from scsr_opt.report import Report, bicubic, figure, whole_file, write_picture
+from scsr_opt.report import Report, bicubic, figure, write_picture
 
 SCALE = 4
 FRAMES = 101

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from scsr_opt._files import check_writable
 from scsr_opt.cli.options import (
     File,
     Overwrite,
@@ -23,7 +24,6 @@ from scsr_opt.cli.options import (
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
-from scsr_opt.report.files import check_writable
 
 if TYPE_CHECKING:
     import scsr_opt

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter, Token
 
+from scsr_opt._files import check_writable
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.report.files import check_writable
 from scsr_opt.report.progress import RichProgress
 
 if TYPE_CHECKING:

@@ -286,7 +286,7 @@ def _check(
 def _write_velocity(path: Path, velocity: Any) -> None:
     import numpy as np
 
-    from scsr_opt.report.files import whole_file
+    from scsr_opt._files import whole_file
 
     encoded = io.BytesIO()  # in a file np.save would add another ending to one in capitals
     np.save(encoded, velocity.astype(np.float32))

@@ -151,8 +151,8 @@ def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> N
 
 
 def _draw(path: Path, solution: Any, *, explain: bool) -> None:
+    from scsr_opt._files import whole_file
     from scsr_opt.report.figures import scene_figure
-    from scsr_opt.report.files import whole_file
 
     title = solution.recording.name
     drawn = (

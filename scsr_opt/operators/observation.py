@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from scsr_opt._arrays import held
 from scsr_opt.errors import InputError
-from scsr_opt.operators.operator import LinearOperator, held
+from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.warp import Warp
 
 

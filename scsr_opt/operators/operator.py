@@ -115,12 +115,6 @@ def picture_shape(shape: tuple[int, int], name: str) -> tuple[int, int]:
     return int(sizes[0]), int(sizes[1])
 
 
-def held(value: ArrayLike, name: str) -> Array:
-    """`value` as an array that an operator may keep: not a view of what the user may write to. **Raises:** `InputError`
-    as `as_array`."""
-    return jnp.array(value if isinstance(value, jax.Array) else as_array(value, name))
-
-
 def _checked(x: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     ready()
     x = x if isinstance(x, jax.Array) else jnp.asarray(as_array(x, f"What {name} was given"))

@@ -5,8 +5,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._arrays import held
 from scsr_opt.errors import InputError
-from scsr_opt.operators.operator import LinearOperator, held
+from scsr_opt.operators.operator import LinearOperator
 
 
 class Warp(LinearOperator):

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from scsr_opt._arrays import held
 from scsr_opt.errors import InputError
-from scsr_opt.operators.operator import held
 from scsr_opt.priors.bounded import Bounded
 from scsr_opt.priors.prior import Prior
 

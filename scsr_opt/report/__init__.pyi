@@ -1,6 +1,5 @@
 from .colours import colour_wheel, full_speed, motion_colours
 from .figures import bicubic, compare, detailed_part, figure, scene_figure
-from .files import check_writable, whole_file
 from .pictures import PictureFormat, check_film, quantise, read_picture, write_film, write_picture
 from .progress import RichProgress
 from .summary import Report, versions
@@ -11,7 +10,6 @@ __all__ = [
     "RichProgress",
     "bicubic",
     "check_film",
-    "check_writable",
     "colour_wheel",
     "compare",
     "detailed_part",
@@ -22,7 +20,6 @@ __all__ = [
     "quantise",
     "read_picture",
     "versions",
-    "whole_file",
     "write_film",
     "write_picture",
 ]

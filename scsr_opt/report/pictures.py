@@ -23,8 +23,8 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
+from scsr_opt._files import read_meanwhile, whole_file
 from scsr_opt.errors import InputError
-from scsr_opt.report.files import read_meanwhile, whole_file
 
 PICTURE_BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".npz": (32,)}
 """Endings of still pictures with the bits per pixel that each can have, the default first; 32 is floating point."""

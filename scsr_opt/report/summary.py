@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from scsr_opt._files import whole_file
 from scsr_opt.camera.saturation import said_of
 from scsr_opt.pipeline.solution import Solution
-from scsr_opt.report.files import whole_file
 from scsr_opt.solvers.record import Stage
 
 _VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")

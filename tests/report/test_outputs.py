@@ -11,9 +11,10 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from scsr_opt._files import check_writable, whole_file
 from scsr_opt.camera import Recording, read_recording, write_recording
 from scsr_opt.errors import InputError
-from scsr_opt.report import Report, check_writable, read_picture, whole_file, write_film, write_picture
+from scsr_opt.report import Report, read_picture, write_film, write_picture
 
 PICTURE = np.random.default_rng(0).random((40, 60)).astype(np.float32)
 CHARGE = np.random.default_rng(0).random((40, 60)) + 0.3 * np.arange(31)[:, None, None]

@@ -3,8 +3,8 @@ import stat
 
 import pytest
 
+from scsr_opt._files import check_writable, whole_file
 from scsr_opt.errors import InputError
-from scsr_opt.report import check_writable, whole_file
 
 
 def test_whole_file_replaces_only_when_all_went_well(tmp_path):

@@ -4,6 +4,7 @@ Exit codes: 0 done; 1 the solve failed and no picture was written; 2 something t
 arguments, unreadable file, no place to write); 130 interrupted.
 """
 
+import functools
 import io
 import os
 import sys
@@ -32,21 +33,26 @@ def _version() -> str:
     return version("scsr-opt")
 
 
-app = App(
-    name="scsr",
-    help="Super-resolved pictures from the recordings of a spike camera.\n\n"
-    "A recording holds binary frames: a pixel fires when it has gathered a fixed amount of light since its last spike. "
-    "Intensity is linear, 1 = white; frames are counted from 0; velocities are in sensor pixels per frame.",
-    help_epilogue="Exit codes: 0 done, 1 the solve failed (no picture written), 2 the request cannot be carried out.",
-    help_format="plaintext",
-    version=_version,
-    result_action="return_value",
-    suppress_keyboard_interrupt=False,
-)
-_added = sorted(entry_points(group="scsr.commands"), key=lambda entry: entry.name)
-for _command in (info, simulate, play, solve, film, baseline, demo, *(entry.load() for entry in _added)):
-    # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
-    app.command(_command, help="\n\n".join(" ".join(p.split()) for p in (_command.__doc__ or "").split("\n\n")))
+@functools.cache
+def _app() -> App:
+    """The application with the commands of this package and those that others add (entry points `scsr.commands`)."""
+    app = App(
+        name="scsr",
+        help="Super-resolved pictures from the recordings of a spike camera.\n\n"
+        "A recording holds binary frames: a pixel fires when it has gathered a fixed amount of light since its last "
+        "spike. Intensity is linear, 1 = white; frames are counted from 0; velocities are in sensor pixels per frame.",
+        help_epilogue="Exit codes: 0 done, 1 the solve failed (no picture written), 2 the request cannot be carried "
+        "out.",
+        help_format="plaintext",
+        version=_version,
+        result_action="return_value",
+        suppress_keyboard_interrupt=False,
+    )
+    added = sorted(entry_points(group="scsr.commands"), key=lambda entry: entry.name)
+    for command in (info, simulate, play, solve, film, baseline, demo, *(entry.load() for entry in added)):
+        # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
+        app.command(command, help="\n\n".join(" ".join(p.split()) for p in (command.__doc__ or "").split("\n\n")))
+    return app
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold bytes that are no text
     try:
         with _warnings_in_one_line():
-            code = app(list(sys.argv[1:] if arguments is None else arguments), exit_on_error=False, print_error=False)
+            given = list(sys.argv[1:] if arguments is None else arguments)
+            code = _app()(given, exit_on_error=False, print_error=False)
             sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except KeyboardInterrupt:

@@ -6,7 +6,7 @@ computed once for a few moments, and interpolated between them: at 40,000 frames
 frames.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -117,7 +117,7 @@ class Motion(eqx.Module):
         return cls(velocity, np.zeros_like(velocity), np.asarray(confidence, np.float32))
 
     @classmethod
-    def constant(cls, velocity: ArrayLike, shape: tuple[int, int]) -> "Motion":
+    def constant(cls, velocity: ArrayLike | Sequence[float | int], shape: tuple[int, int]) -> "Motion":
         """One velocity for the whole scene.
 
         **Arguments:** `velocity`: two numbers (down, right), sensor pixels per frame. `shape`: (h, w) of the sensor.

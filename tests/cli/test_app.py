@@ -50,7 +50,7 @@ def test_entry_point_is_installed(here):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["explode"], r'Unknown command "explode": choose from info, simulate, .*, compare\.$'),
+        (["explode"], r'Unknown command "explode": choose from info, simulate, .*, train\.$'),
         (["info"], "scsr info needs FILE, which is missing: The recording: .dat"),
         (["info", "a.npz", "b.npz"], r"scsr info has no use for b.npz: leave it out, or see scsr info --help"),
         (["info", "a.npz", "--colour"], "Unknown option: --colour"),

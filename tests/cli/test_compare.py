@@ -103,5 +103,5 @@ def test_compare_does_not_replace_what_it_reads(scsr, here, file):
 
 
 def test_the_command_line_does_not_wait_for_the_networks():
-    program = "import sys, learned.cli.compare, scsr_opt.cli; sys.exit('learned' in sys.modules)"
+    program = "import sys, learned.cli.compare, scsr_opt.cli; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0

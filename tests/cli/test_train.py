@@ -90,5 +90,5 @@ def test_train_refuses(scsr, here, config, arguments, message):
 
 
 def test_the_command_line_does_not_wait_for_the_networks():
-    program = "import sys, learned.cli.train, scsr_opt.cli; sys.exit('learned' in sys.modules)"
+    program = "import sys, learned.cli.train, scsr_opt.cli; sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0

@@ -1,12 +1,19 @@
 """Networks that unroll the iteration of `scsr_opt` (paper, Eq. 5) up to SpikeSR-Net (Eq. 6-14).
 
-`learned.zoo` has all of them with one face. The rungs of that ladder that are learned are functions of this package
-as well, `spikes` (frames, rows, columns) of 0 and 1, or a `Recording`, to a `Solution`. Nothing is imported before one
-is called.
+`load_model("spikesr-small-x4")(recording, key=100)` is the door; `learned.zoo` lists all models. The learned ones are
+functions of this package as well, from `spikes`, (frames, rows, columns) of 0 and 1 or a `Recording`, to a `Solution`.
+Nothing is imported before one is called.
 """
 
 import functools
 from typing import Any
+
+
+def load_model(model_id: str) -> Any:
+    """The model of an id such as `spikesr-small-x4` (`learned.zoo.load_model`)."""
+    from learned.zoo import load_model
+
+    return load_model(model_id)
 
 
 def ridge(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:

@@ -13,8 +13,9 @@ the data term and strength that `reconstruct` would use with it.
 | `unrolled`, `unrolled-pase` | ISTA unrolled, with learned steps; on spike intervals, or on encoded spikes |
 | `spikesr-small`, `spikesr-full` | SpikeSR-Net |
 
-A network needs weights: `checkpoints/<name>_x<scale>.scsr` with underscores for hyphens, or the path of a `.scsr` file
-in the place of a name.
+A network needs weights: `checkpoints/<name>-x<scale>.scsr`, or the path of a `.scsr` file in the place of a name. A
+name with its scale, `spikesr-small-x4`, is the id of a model: of its weights, of the configuration that trains it
+(`scsr train spikesr-small-x4`), and for `learned.load_model`.
 """
 
 import dataclasses
@@ -62,7 +63,7 @@ from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.record import Stage, Status
 
-CHECKPOINTS = Path(__file__).parent / "checkpoints"
+CHECKPOINTS = checkpoint.SHIPPED
 """Where the shipped weights are."""
 
 OPTIMIZERS: dict[str, Callable[[], tuple[Prior, Solver]]] = {
@@ -374,6 +375,36 @@ class Network:
         _check_scale(self.path, self.card.configuration["scale"], scale)
 
 
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model for one scale: `load_model("spikesr-small-x4")(recording, key=100)`.
+
+    **Fields:** `id`; `model`, an `Optimizer` or a `Network`; `scale` s.
+    """
+
+    id: str
+    model: "Model"
+    scale: int
+
+    def __call__(self, spikes: ArrayLike | Recording, **options: Any) -> Solution:
+        """The picture of a moment; `options` as of `Optimizer` or `Network` (`key`, `white_rate`, …)."""
+        return self.model(spikes, scale=self.scale, **options)
+
+
+def load_model(model_id: str) -> LoadedModel:
+    """The model of an id: a name of the ladder and a scale, `ridge-x2`, `spikesr-small-x4`.
+
+    **Raises:** `InputError` if there is no such model, or no weights for its scale.
+    """
+    name, _, scale = model_id.rpartition("-x")
+    if not scale.isdecimal() or int(scale) < 1:
+        raise InputError(
+            f"There is no model {model_id!r}: an id is a name and a scale, such as fista-huber-x4 or "
+            f"{', '.join(sorted(file.stem for file in CHECKPOINTS.glob('*.scsr')))}."
+        )
+    return LoadedModel(model_id, model(name, int(scale)), int(scale))
+
+
 def _check_scale(path: Path, trained: int, asked: int) -> None:
     if trained != asked:
         raise InputError(
@@ -425,7 +456,7 @@ def names(scale: int) -> list[str]:
 
 
 def _weights(name: str, scale: int) -> Path:
-    return CHECKPOINTS / f"{name.replace('-', '_')}_x{scale}.scsr"
+    return CHECKPOINTS / f"{name}-x{scale}.scsr"
 
 
 def _picture(here: ReferenceClip, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:

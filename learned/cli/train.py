@@ -12,10 +12,9 @@ def train(
     config: Annotated[
         str,
         Parameter(
-            help="A .toml file, or the name of a configuration that comes with the program: small-x2, small-x4, "
-            "full-x2, full-x4, velocity, compensation-x2, compensation-x4 and guided-x2, guided-x4 (an estimate of "
-            "velocity, what is made with it, and the small networks that start from both), unrolled-x2, unrolled-x4, "
-            "unrolled-pase-x2, unrolled-pase-x4, restoration-x4 (for ridge-centred), or smoke, which "
+            help="A .toml file, or a configuration of the package: the id of a model, NAME-x2 or NAME-x4 with NAME one "
+            "of unrolled, unrolled-pase, spikesr-plain (as in the paper), spikesr-small and spikesr-full (with an "
+            "estimate of velocity), ridge-centred-x4; a part of one, velocity or compensation-x2, -x4; or smoke, which "
             "takes half a minute and learns nothing."
         ),
     ],

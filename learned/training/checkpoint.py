@@ -25,7 +25,7 @@ from scsr_opt.errors import InputError
 
 FORMAT = 1
 """Of the file; a reader refuses others."""
-SHIPPED = Path(__file__).parent / "checkpoints"
+SHIPPED = Path(__file__).parents[1] / "checkpoints"
 """Where the shipped weights are."""
 LARGEST = 20_000_000
 """Bytes: what a shipped checkpoint may take."""
@@ -112,8 +112,8 @@ def grafted(model: Any, name: str) -> tuple[Any, Card]:
     part: the rest of a network keeps its weights, the rest of a file is not used. A whole SpikeSR-Net may be of another
     scale (`learned.networks.rescaling`).
 
-    **Arguments:** `name`: of shipped weights, for example `spikesr_small_x4`, or the path of a .scsr file; with a colon
-    and the name of a part behind it, `spikesr_small_x4:velocity`, that part alone is taken.
+    **Arguments:** `name`: of shipped weights, for example `spikesr-small-x4`, or the path of a .scsr file; with a colon
+    and the name of a part behind it, `spikesr-small-x4:velocity`, that part alone is taken.
 
     **Raises:** `InputError` as `load`, or if the file has no such part, neither's weights all have a place in the
     other, or a shape differs.

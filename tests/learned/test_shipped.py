@@ -7,7 +7,8 @@ import pytest
 from skimage import data
 from skimage.metrics import peak_signal_noise_ratio
 
-from learned.training import checkpoint
+from learned import load_model
+from learned.training import checkpoint, configs
 from learned.zoo import CHECKPOINTS, NETWORKS, Network, model
 from scsr_opt.baselines import BASELINES
 from scsr_opt.camera import simulate
@@ -18,14 +19,17 @@ SHIPPED = sorted(CHECKPOINTS.glob("*.scsr"))
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_a_checkpoint_is_what_its_name_says(path):
-    found = re.fullmatch(r"(\w+)_x(\d)", path.stem)
+    found = re.fullmatch(r"([a-z-]+)-x(\d)", path.stem)
     assert found is not None
-    name, scale = found[1].replace("_", "-"), int(found[2])
+    name, scale = found[1], int(found[2])
     assert name in NETWORKS and path.stat().st_size < checkpoint.LARGEST
     _, card = checkpoint.load(path)
     assert card.configuration["scale"] == scale
     assert card.steps > 0 and card.hardware and card.data and np.isfinite(card.scores["psnr"])
     assert model(name, scale=scale).name == name
+    loaded = load_model(path.stem)
+    assert loaded.id == path.stem and loaded.scale == scale and loaded.model.name == name
+    assert path.stem in configs.names()  # the configuration that trains it
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 12), (2, 3)])
@@ -44,7 +48,7 @@ def test_spikesr_on_a_sensor_smaller_than_its_reach_keeps_the_light(shape, quick
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_network_sees_more_than_playback(path):
     """A picture that it was not trained on, moving by 0.1 pixels per frame: 2 dB at least (measured: 3.6)."""
-    name, scale = path.stem.rsplit("_x", 1)
+    name, scale = path.stem.rsplit("-x", 1)
     scale = int(scale)
     size = 48 * scale
     picture = data.coins()[40 : 40 + size, 60 : 60 + size]
@@ -55,7 +59,7 @@ def test_a_shipped_network_sees_more_than_playback(path):
         inner = (slice(4 * scale, -4 * scale),) * 2
         return float(peak_signal_noise_ratio(truth[inner], np.clip(image, 0, 1)[inner], data_range=1.0))
 
-    solution = model(name.replace("_", "-"), scale=scale)(made.spikes, scale=scale, key=50)
+    solution = model(name, scale=scale)(made.spikes, scale=scale, key=50)
     assert solution.status.usable
     playback = np.asarray(BASELINES["tfp_bicubic"](made.spikes, scale=scale, key=50))
     assert score(solution.image) > score(playback) + 2

@@ -13,7 +13,7 @@ import pytest
 from skimage import data
 
 import learned
-from learned import zoo
+from learned import load_model, zoo
 from learned.evaluation import inference
 from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, read, reference_clip, reference_problem
 from learned.networks.restoration import RestorationConfig, RestorationNet
@@ -67,17 +67,17 @@ def files(tmp_path_factory):
     net = build()
     net = eqx.tree_at(lambda n: n.stages, net, jax.tree.map(jnp.zeros_like, net.stages))
     card = checkpoint.Card("spikesr", {"scale": 2, "network": {"size": "small", **TINY}}, "none", 0, "none", {})
-    checkpoint.save(folder / "spikesr_small_x2.scsr", net, card)
+    checkpoint.save(folder / "spikesr-small-x2.scsr", net, card)
     net = UnrolledISTA(UnrolledConfig(2, **UNROLLED), key=jax.random.key(0))
     net = eqx.tree_at(lambda n: n.momenta, net, jnp.zeros_like(net.momenta))
     card = checkpoint.Card("unrolled", {"scale": 2, "network": UNROLLED}, "none", 0, "none", {})
-    checkpoint.save(folder / "unrolled_x2.scsr", net, card)
+    checkpoint.save(folder / "unrolled-x2.scsr", net, card)
     net = UnrolledPASE(UnrolledPASEConfig(2, **PASE), key=jax.random.key(0))
     card = checkpoint.Card("unrolled_pase", {"scale": 2, "network": PASE}, "none", 0, "none", {})
-    checkpoint.save(folder / "unrolled_pase_x2.scsr", net, card)
+    checkpoint.save(folder / "unrolled-pase-x2.scsr", net, card)
     net = RestorationNet(RestorationConfig(2, **RESTORATION), key=jax.random.key(0))
     card = checkpoint.Card("restoration", {"scale": 2, "network": RESTORATION}, "none", 0, "none", {})
-    checkpoint.save(folder / "ridge_centred_x2.scsr", net, card)
+    checkpoint.save(folder / "ridge-centred-x2.scsr", net, card)
     return folder
 
 
@@ -242,7 +242,7 @@ def test_networks_see_the_nearest_good_pixel_in_the_place_of_a_bad_one(recording
 
 
 def test_a_picture_that_is_not_finite_is_not_handed_on(tmp_path, shelf, posed):
-    net, card = checkpoint.load(shelf / "unrolled_x2.scsr")
+    net, card = checkpoint.load(shelf / "unrolled-x2.scsr")
     broken = eqx.tree_at(lambda n: n.log_factors, net, jnp.asarray([0.0, jnp.nan]))
     checkpoint.save(tmp_path / "broken.scsr", broken, card)
     found = model(str(tmp_path / "broken.scsr"), 2).solve(posed)
@@ -252,7 +252,12 @@ def test_a_picture_that_is_not_finite_is_not_handed_on(tmp_path, shelf, posed):
 def test_what_cannot_be(shelf, tmp_path, recording, posed):
     with pytest.raises(InputError, match="There is no model 'magic': take one of ista-tv"):
         model("magic", 2)
-    with pytest.raises(InputError, match=r"for scale 4 \(shipped are: ridge_centred_x2, spikesr_small_x2, "):
+    for name in ("spikesr-small", "spikesr-small-x", "spikesr-small-x0", "spikesr-small_x2", "x2", ""):
+        with pytest.raises(InputError, match=f"There is no model '{name}': an id is a name and a scale"):
+            load_model(name)
+    with pytest.raises(InputError, match="There is no model 'magic': take one of ista-tv"):
+        load_model("magic-x2")
+    with pytest.raises(InputError, match=r"for scale 4 \(shipped are: ridge-centred-x2, spikesr-small-x2, "):
         model("spikesr-small", 4)
     with pytest.raises(InputError, match="cannot be read"):
         model(str(tmp_path / "none.scsr"), 2)
@@ -262,7 +267,7 @@ def test_what_cannot_be(shelf, tmp_path, recording, posed):
     with pytest.raises(InputError, match="The stages of velocity are not known; take a SpikeSR-Net"):
         model(str(tmp_path / "part.scsr"), 2)
     with pytest.raises(InputError, match="was trained for scale 2, but scale 3"):
-        network(str(shelf / "unrolled_x2.scsr"))(recording, scale=3, record=False)
+        network(str(shelf / "unrolled-x2.scsr"))(recording, scale=3, record=False)
     for name in ("fista-huber", "unrolled"):
         with pytest.raises(InputError, match=r"start has shape \(20, 24\)"):
             model(name, 2).solve(posed, start=np.zeros((20, 24), np.float32))

@@ -29,9 +29,9 @@ class TrainingConfig:
     - `pictures`: folder of stills and clips (`learned.training.data.Pictures.folder`); None: those of scikit-image.
     - `prepared`: how many examples are made before the first step and then drawn from, for a network that does not
       take the spikes themselves (`learned.training.prepared_cache`); None for the others, which see none twice.
-    - `start`: names of shipped weights (`spikesr_small_x4`) or paths of .scsr files, put in the place of the random
+    - `start`: names of shipped weights (`spikesr-small-x4`) or paths of .scsr files, put in the place of the random
       first weights one after the other; each may be of a part of the network only, or of a
-      larger one, of which a part can be named: `spikesr_small_x4:velocity`, or of another scale
+      larger one, of which a part can be named: `spikesr-small-x4:velocity`, or of another scale
       (`learned.training.checkpoint.grafted`).
     - `batch`: examples per step; the paper's 6.
     - `steps`: of Adam (Kingma and Ba 2015).

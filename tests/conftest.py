@@ -40,9 +40,10 @@ hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "default")
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real recordings, which is not part of the project; tests that need it are skipped without it."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("SCSR_SHARED_DATA", beside))
     if not folder.is_dir():
-        pytest.skip("the folder of real recordings (../shared/data beside the project) is not on this machine")
+        pytest.skip(f"there is no folder {folder} of real recordings: set SCSR_SHARED_DATA to it")
     return folder
 
 

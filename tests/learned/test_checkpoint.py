@@ -123,7 +123,7 @@ def test_a_write_that_fails_leaves_the_old_file(file, model, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError):
+    with pytest.raises(InputError, match=f"Cannot write {file}: no space left on device"):
         save(file, model, dataclasses.replace(CARD, steps=8))
     assert file.read_bytes() == before and os.listdir(file.parent) == ["a.scsr"]
 

@@ -109,7 +109,7 @@ class Options:
     solver: Solver | None = None
     refine: SupportsIndex = 0
     shortcuts: Shortcuts = field(default_factory=Shortcuts)
-    crop: Sequence[SupportsIndex] | None = None
+    crop: Sequence[SupportsIndex] | np.ndarray | None = None
     keep_images: bool = False
 
     @classmethod

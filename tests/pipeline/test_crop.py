@@ -79,7 +79,7 @@ SIZE = r"which has 12 rows and 18 columns: choose .*top \+ height of at most 12 
         (np.array([0.0, 0, 4, 4]), "it must be"),
     ],
 )
-def test_crop_that_is_none_is_refused_by_every_door(crop, message):
+def test_crop_that_is_none_is_refused_by_every_door(types_unchecked, crop, message):
     for call in (
         lambda: task_of(SPIKES, 2, None, Options(crop=crop)),
         lambda: reconstruct_sequence(SPIKES, [3], scale=2, crop=crop),

@@ -104,3 +104,43 @@ def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h
             f"gain 1."
         )
     return found
+
+
+def finite(given: object) -> float:
+    """`given` as a float; not a number where it is none, or is not finite."""
+    try:
+        found = math.nan if isinstance(given, str | bytes) else float(given)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+    return found if math.isfinite(found) else math.nan
+
+
+def iteration_count(owner: str, given: float | int, what: str) -> int:
+    """`given` as an int.
+
+    **Errors:** `InputError` unless it is a whole number of at least 1.
+    """
+    found = finite(given)
+    if not (found >= 1 and found == int(found)):
+        raise InputError(f"{owner} was given {given!r} {what}; it needs a whole number of at least 1.")
+    return int(given)
+
+
+def positive(owner: str, name: str, given: float | int, most: float | int = math.inf) -> float:
+    """`given` as a float.
+
+    **Errors:** `InputError` unless it is above 0, finite and not above `most`.
+    """
+    found = finite(given)
+    if not 0 < found <= most:
+        limit = "" if most == math.inf else f" and at most {most:g}"
+        raise InputError(f"{owner} was given {name} {given!r}; it needs a finite number above 0{limit}.")
+    return found
+
+
+def checked_tolerance(owner: str, given: float | int) -> None:
+    """**Errors:** `InputError` unless `given` is a finite number of at least 0."""
+    if not finite(given) >= 0:
+        raise InputError(
+            f"{owner} was given tolerance {given!r}; it is a relative measure of at least 0 (0: use all iterations)."
+        )

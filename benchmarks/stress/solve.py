@@ -16,7 +16,6 @@ from benchmarks.stress.bounds import Certificate, analysis_of, certificate, meas
 from benchmarks.stress.cases import Case
 from benchmarks.stress.data import initial_image, problem_of
 from scsr_opt.priors import Bounded, RidgeRegulariser
-from scsr_opt.priors.patience import patient
 from scsr_opt.solvers import ChambollePock, CondatVu, Problem, Solver, lipschitz_bound, run
 from scsr_opt.solvers.admm import ADMMState
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
@@ -150,7 +149,7 @@ def certificate_of(
         if ridge:
             dual = None
         elif foreign:
-            dual = _dual_of(patient(prior, foreign), moved, β * problem.strength)
+            dual = _dual_of(prior.with_inner_iterations(foreign), moved, β * problem.strength)
         elif case.solver in SMOOTH:
             dual = _slope_of(analysis, image64)
         else:

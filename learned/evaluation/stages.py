@@ -8,7 +8,6 @@ from jaxtyping import Array, Float
 
 from learned.evaluation.inference import Run
 from learned.evaluation.reference_problem import ReferenceProblem, read
-from scsr_opt.priors.patience import patient
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.record import Stage
@@ -27,7 +26,7 @@ def stages_of(posed: ReferenceProblem, found: Run, *, seconds: float, keep_image
     """
     stages = []
     before, slope = found.start, read(posed, found.start).slope
-    prior = patient(posed.prior, _PATIENT)
+    prior = posed.prior.with_inner_iterations(_PATIENT)
     for number, (step, image) in enumerate(zip(found.gradient_steps, found.images, strict=True), 1):
         reading = read(posed, image)
         stages.append(

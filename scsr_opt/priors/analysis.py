@@ -13,8 +13,8 @@ from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
-from scsr_opt.priors.checks import divisible
 from scsr_opt.priors.prior import Prior, State
+from scsr_opt.priors.strengths import divisible
 
 # Dual steps of a cycle, at most, and the smallest eigenvalue that their lengths are made for, as a share of the
 # largest. At 0.1 long steps and the projections that follow them kept each other going (docs/measurements.md).

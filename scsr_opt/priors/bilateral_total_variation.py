@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import iteration_count, positive
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import positive, whole
 
 
 class BilateralTotalVariation(Analysis[Array]):
@@ -39,9 +39,9 @@ class BilateralTotalVariation(Analysis[Array]):
     iterations: int = eqx.field(static=True)
 
     def __init__(self, radius: int = 2, decay: float | int = 0.6, iterations: int = 10):
-        self.radius = whole("BilateralTotalVariation", radius, "pixels of radius")
+        self.radius = iteration_count("BilateralTotalVariation", radius, "pixels of radius")
         self.decay = positive("BilateralTotalVariation", "the decay", decay, most=1)
-        self.iterations = whole("BilateralTotalVariation", iterations, "iterations")
+        self.iterations = iteration_count("BilateralTotalVariation", iterations, "iterations")
 
     @property
     def _shifts(self) -> list[tuple[int, int, float]]:

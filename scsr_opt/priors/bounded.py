@@ -1,5 +1,6 @@
 """A prior and the range that intensities can have."""
 
+import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -11,9 +12,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import iteration_count
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import whole
 from scsr_opt.priors.prior import Prior
 
 
@@ -74,7 +75,7 @@ class Bounded(Prior[BoundedState]):
             )
         self.prior = prior
         self.lower, self.upper = least, most
-        self.rounds = whole("Bounded", rounds, "rounds")
+        self.rounds = iteration_count("Bounded", rounds, "rounds")
 
     @property
     def relative_strength(self) -> float | None:
@@ -97,6 +98,9 @@ class Bounded(Prior[BoundedState]):
     @property
     def has_prox(self) -> bool:
         return self.prior.has_prox
+
+    def with_inner_iterations(self, iterations: int) -> "Bounded":
+        return dataclasses.replace(self, prior=self.prior.with_inner_iterations(iterations))
 
     def initial_state(self, image: Float[Array, "H W"]) -> BoundedState:
         """The prior's own, and nothing held back."""

@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import iteration_count, positive
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import positive, whole
 
 Denoiser = Callable[[Float[Array, "H W"], Float[Array, ""]], Float[Array, "H W"]]
 
@@ -104,8 +104,8 @@ def nl_means(patch_size: int = 5, patch_distance: int = 6, cut_off: float | int 
 
     **Errors:** `InputError` for sizes that are not whole and positive, or a cut-off that is not positive.
     """
-    size = whole("nl_means", patch_size, "pixels of patch size")
-    distance = whole("nl_means", patch_distance, "pixels of patch distance")
+    size = iteration_count("nl_means", patch_size, "pixels of patch size")
+    distance = iteration_count("nl_means", patch_distance, "pixels of patch distance")
     cut_off = positive("nl_means", "the cut-off", cut_off)
 
     def denoise(image: np.ndarray, sigma: float) -> np.ndarray:
@@ -150,7 +150,7 @@ def tv_chambolle(iterations: int = 200) -> NumpyDenoiser:
 
     **Errors:** `InputError` for fewer than one iteration.
     """
-    iterations = whole("tv_chambolle", iterations, "iterations")
+    iterations = iteration_count("tv_chambolle", iterations, "iterations")
 
     def denoise(image: np.ndarray, sigma: float) -> np.ndarray:
         from skimage.restoration import denoise_tv_chambolle

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt._validation import iteration_count, positive
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import positive, whole
 from scsr_opt.priors.total_variation import Dual, gradient, gradient_adjoint, gradient_bounds, lengths, to_unit_ball
 
 
@@ -38,7 +38,7 @@ class HuberTotalVariation(Analysis[Dual]):
 
     def __init__(self, knee: float | int = 0.02, iterations: int = 4):
         self.knee = positive("HuberTotalVariation", "the knee", knee)
-        self.iterations = whole("HuberTotalVariation", iterations, "iterations")
+        self.iterations = iteration_count("HuberTotalVariation", iterations, "iterations")
 
     @property
     def norm_squared(self) -> float:

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from scsr_opt.priors.checks import divisible
 from scsr_opt.priors.denoisers import Denoiser, denoised
 from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.strengths import divisible
 
 
 class PlugAndPlay(Prior[None]):

@@ -1,6 +1,7 @@
 """`Prior`: the base class of image priors Ψ (paper, Eq. 4)."""
 
 import abc
+import dataclasses
 from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
@@ -66,6 +67,14 @@ class Prior(eqx.Module, Generic[State]):
     def has_prox(self) -> bool:
         """Whether there is a proximal step. A smooth prior can do without (`LBFGS`, `NonlinearCG`)."""
         return type(self).prox is not Prior.prox
+
+    def with_inner_iterations(self, iterations: int) -> "Prior":
+        """This prior with at least `iterations` inner iterations of its proximal step, for a step that starts anew and
+        not from the state of the last one; itself where the step has none."""
+        given = getattr(self, "iterations", None)
+        if isinstance(given, int) and given < iterations:
+            return dataclasses.replace(self, iterations=iterations)  # pyright: ignore[reportCallIssue]
+        return self
 
     def initial_state(self, image: Float[Array, "H W"]) -> State:
         """The state from which a first proximal step on a picture like `image` starts; none by default."""

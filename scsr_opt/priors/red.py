@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
-from scsr_opt.priors.checks import positive, whole
+from scsr_opt._validation import iteration_count, positive
 from scsr_opt.priors.denoisers import Denoiser, denoised
 from scsr_opt.priors.prior import Prior
 
@@ -47,7 +47,7 @@ class RED(Prior[Array]):
     def __init__(self, denoiser: Denoiser, sigma: float | int = 0.02, iterations: int = 2):
         self.denoiser = denoiser
         self.sigma = positive("RED", "sigma", sigma)
-        self.iterations = whole("RED", iterations, "iterations")
+        self.iterations = iteration_count("RED", iterations, "iterations")
 
     @property
     def relative_strength(self) -> float:

@@ -20,11 +20,13 @@ from jaxtyping import Array, Float
 
 from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import positive
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import positive
 from scsr_opt.priors.prior import Prior
 
 WEIGHTS = Path(__file__).parent / "weights"
+FRESH_ACCURACY = 1e-6
+"""Accuracy of a proximal step that starts anew (`with_inner_iterations`): distance left to the optimum, relative."""
 """Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that says what it was trained on."""
 # Frequencies a side on which the norm of the bank is looked for.
 _GRID = 128
@@ -148,6 +150,10 @@ class RidgeRegulariser(Prior[RidgeState]):
         begin = jnp.zeros((), image.dtype), jnp.zeros_like(wide)
         value, gradient = jax.lax.fori_loop(0, bands, band, begin)
         return value, _folded(gradient, side // 2)
+
+    def with_inner_iterations(self, iterations: int) -> "RidgeRegulariser":
+        """This prior with an accurate proximal step, whose number of iterations follows from its accuracy."""
+        return eqx.tree_at(lambda ridge: ridge.accuracy, self, jnp.full_like(self.accuracy, FRESH_ACCURACY))
 
     def initial_state(self, image: Float[Array, "H W"]) -> RidgeState:
         """The picture: where the first proximal step begins."""

@@ -10,8 +10,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
-from scsr_opt.priors.checks import divisible, positive, whole
+from scsr_opt._validation import iteration_count, positive
 from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.strengths import divisible
 from scsr_opt.priors.total_variation import Dual, gradient, gradient_adjoint, lengths, to_unit_ball
 
 # ‖(X, w) ↦ (∇X − w, E w)‖² ≤ the larger eigenvalue of [[8, √8], [√8, 1 + 8]]; without X it is 9.
@@ -74,8 +75,10 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
 
     def __init__(self, ratio: float | int = 2.0, iterations: int = 40, value_iterations: int = 50):
         self.ratio = positive("TotalGeneralizedVariation", "the ratio", ratio)
-        self.iterations = whole("TotalGeneralizedVariation", iterations, "iterations")
-        self.value_iterations = whole("TotalGeneralizedVariation", value_iterations, "iterations of the value")
+        self.iterations = iteration_count("TotalGeneralizedVariation", iterations, "iterations")
+        self.value_iterations = iteration_count(
+            "TotalGeneralizedVariation", value_iterations, "iterations of the value"
+        )
 
     @compiled
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt._validation import iteration_count
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import whole
 
 
 class Dual(NamedTuple):
@@ -47,7 +47,7 @@ class TotalVariation(Analysis[Dual]):
 
     def __init__(self, isotropic: bool = True, iterations: int = 4):
         self.isotropic = bool(isotropic)
-        self.iterations = whole("TotalVariation", iterations, "iterations")
+        self.iterations = iteration_count("TotalVariation", iterations, "iterations")
 
     @property
     def norm_squared(self) -> float:

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from scsr_opt._validation import iteration_count
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import whole
 
 
 class WaveletL1(Analysis[Array]):
@@ -39,8 +39,8 @@ class WaveletL1(Analysis[Array]):
     iterations: int = eqx.field(static=True)
 
     def __init__(self, levels: int = 2, iterations: int = 5):
-        self.levels = whole("WaveletL1", levels, "levels")
-        self.iterations = whole("WaveletL1", iterations, "iterations")
+        self.levels = iteration_count("WaveletL1", levels, "levels")
+        self.iterations = iteration_count("WaveletL1", iterations, "iterations")
 
     @property
     def relative_strength(self) -> float:

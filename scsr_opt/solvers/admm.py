@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import finite
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import finite
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound

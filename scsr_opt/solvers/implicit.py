@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import ready
+from scsr_opt._validation import iteration_count
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import whole
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.splitting import AnalysisSplitting, Dual
@@ -59,7 +59,7 @@ def implicit_minimiser(
             "TotalVariation, or a RidgeRegulariser."
         )
     for name, number in (("iterations", iterations), ("adjoint_iterations", adjoint_iterations)):
-        whole("implicit_minimiser", number, name)
+        iteration_count("implicit_minimiser", number, name)
     numbers, fixed = eqx.partition(problem, eqx.is_inexact_array)
     return _solution(numbers, fixed, iterations, adjoint_iterations, jax.lax.stop_gradient(image))
 

@@ -24,8 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
-from scsr_opt.priors.checks import whole
-from scsr_opt.priors.patience import patient
+from scsr_opt._validation import iteration_count
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
@@ -52,7 +51,7 @@ class _Jaxopt(Solver[JaxoptState]):
     stopping: Stopping = eqx.field(default=FixedPoint(), init=False)
 
     def __check_init__(self):
-        whole(type(self).__name__, self.inner_iterations, "inner_iterations")
+        iteration_count(type(self).__name__, self.inner_iterations, "inner_iterations")
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> JaxoptState:
         step_size = 1 / lipschitz_bound(problem.data)
@@ -94,7 +93,7 @@ class _Jaxopt(Solver[JaxoptState]):
             value, gradient = problem.data.value_and_gradient(image)
             return (value, gradient), gradient
 
-        prior = patient(problem.prior, self.inner_iterations)
+        prior = problem.prior.with_inner_iterations(self.inner_iterations)
 
         def prox(image: Float[Array, "H W"], strength: Float[Array, ""], scale: Float[Array, ""]) -> Array:
             return prior.prox(image, scale * strength, prior.initial_state(image))[0]

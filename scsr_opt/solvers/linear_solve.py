@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from scsr_opt.priors.checks import checked_tolerance, whole
+from scsr_opt._validation import checked_tolerance, iteration_count
 
 
 class LinearSolve(eqx.Module):
@@ -18,7 +18,7 @@ class LinearSolve(eqx.Module):
     steps: eqx.AbstractVar[int]
 
     def __check_init__(self):
-        whole(type(self).__name__, self.steps, "steps")
+        iteration_count(type(self).__name__, self.steps, "steps")
 
     @abc.abstractmethod
     def __call__(self, normal: Callable[[Array], Array], wanted: Float[Array, "H W"]) -> Float[Array, "H W"]:

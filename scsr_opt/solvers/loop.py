@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt._kernels.programs import ready
+from scsr_opt._validation import checked_tolerance, iteration_count
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import checked_tolerance, whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.linear_solve import LinearSolve
@@ -67,7 +67,7 @@ class Solver(eqx.Module, Generic[State]):
 
     def __check_init__(self):
         name = type(self).__name__
-        whole(name, self.iterations, "iterations")
+        iteration_count(name, self.iterations, "iterations")
         for part, (kind, example) in _PARTS.items():
             given = getattr(self, part, None)
             if given is not None and not isinstance(given, kind):

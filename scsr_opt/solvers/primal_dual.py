@@ -7,8 +7,8 @@ import jax
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import finite
 from scsr_opt.errors import InputError
-from scsr_opt.priors.checks import finite
 from scsr_opt.solvers.linear_solve import ConjugateGradients, LinearSolve
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound

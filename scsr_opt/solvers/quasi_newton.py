@@ -21,9 +21,9 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
+from scsr_opt._validation import iteration_count
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
-from scsr_opt.priors.checks import whole
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -210,7 +210,7 @@ class LBFGS(Smooth):
     history: int = 10
 
     def __check_init__(self):
-        whole("LBFGS", self.history, "pairs of history")
+        iteration_count("LBFGS", self.history, "pairs of history")
 
     def _method(self) -> Any:
         method = optx.LBFGS(rtol=0.0, atol=0.0, history_length=self.history)

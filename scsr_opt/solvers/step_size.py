@@ -7,10 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from scsr_opt._validation import finite, iteration_count, positive
 from scsr_opt.errors import InputError
 from scsr_opt.operators.checks import spectral_norm
 from scsr_opt.operators.downsample import Downsample
-from scsr_opt.priors.checks import finite, positive, whole
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 
 
@@ -100,7 +100,7 @@ class SpectralNorm(StepSize):
     iterations: int = 30
 
     def __check_init__(self):
-        whole("SpectralNorm", self.iterations, "iterations")
+        iteration_count("SpectralNorm", self.iterations, "iterations")
 
     def first(self, problem: Problem) -> Float[Array, ""]:
         data = problem.data

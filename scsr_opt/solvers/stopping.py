@@ -24,9 +24,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from scsr_opt._validation import finite
 from scsr_opt.errors import InputError
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.priors.checks import finite
 from scsr_opt.priors.prior import Prior
 
 # Stands for a duality gap that is not measured, which no gap can be: none is below 0. NaN would do as well, but under

@@ -13,7 +13,6 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion import Motion
 from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.priors import Bounded, HuberTotalVariation, RidgeRegulariser, ridge_regulariser
-from scsr_opt.priors.patience import patient
 from scsr_opt.priors.ridge_regulariser import (
     WEIGHTS,
     bank_norm_squared,
@@ -146,7 +145,7 @@ def test_profile_is_the_integral_of_its_derivative(prior):
 @pytest.mark.parametrize("bounded", [False, True])
 def test_what_starts_anew_is_accurate(bounded):
     prior = RidgeRegulariser.load()
-    given = patient(Bounded(prior, 0, 1) if bounded else prior, 100)
+    given = (Bounded(prior, 0, 1) if bounded else prior).with_inner_iterations(100)
     own = given.prior if isinstance(given, Bounded) else given
     assert isinstance(own, RidgeRegulariser) and float(own.accuracy) < 1e-5 < float(prior.accuracy)
 
@@ -157,7 +156,7 @@ def test_a_proximal_step_leaves_no_more_than_its_accuracy(times):
     prior = RidgeRegulariser.load()
     noisy, start = picture() + jnp.asarray(0.05 * noise(10, 40, 40), jnp.float32), picture()
     strength = times / prior.curvature
-    exact, _ = patient(prior, 1).prox(noisy, strength, prior.initial_state(start))
+    exact, _ = prior.with_inner_iterations(1).prox(noisy, strength, prior.initial_state(start))
     rough, _ = prior.prox(noisy, strength, prior.initial_state(start))
     left = float(jnp.linalg.norm(rough - exact) / jnp.linalg.norm(start - exact))
     assert 1e-4 < left <= float(prior.accuracy)

@@ -13,7 +13,6 @@ import pytest
 from scsr_opt import solvers
 from scsr_opt.errors import InputError
 from scsr_opt.priors import Bounded, HuberTotalVariation, TotalVariation
-from scsr_opt.priors.patience import patient
 from scsr_opt.solvers import (
     FISTA,
     ISTA,
@@ -266,10 +265,10 @@ def test_inner_iterations_that_make_no_sense(name):
 
 def test_more_inner_iterations_where_a_prior_has_few():
     prior = TotalVariation(isotropic=False, iterations=3)
-    more = patient(prior, 70)
+    more = prior.with_inner_iterations(70)
     assert more == TotalVariation(isotropic=False, iterations=70)
-    assert patient(prior, 2) is prior
-    assert patient(Bounded(prior, 0.1, None, rounds=3), 70) == Bounded(more, 0.1, None, rounds=3)
+    assert prior.with_inner_iterations(2) is prior
+    assert Bounded(prior, 0.1, None, rounds=3).with_inner_iterations(70) == Bounded(more, 0.1, None, rounds=3)
 
 
 def test_a_state_of_another_solver_or_size_is_refused(case):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from scsr_opt.priors.checks import finite
+from scsr_opt._validation import finite
 
 
 @pytest.mark.parametrize("given", ["1", b"1", None, [1.0, 2.0], 1 + 0j, math.inf, math.nan, 10**400])

@@ -105,7 +105,7 @@ def assemble_task(task: Task) -> Assembly:
 
     **Raises:** `InputError` where the lens is to be estimated and the recording cannot tell it.
     """
-    seconds, began = {}, time.perf_counter()
+    seconds, began = {"reading": task.reading_seconds}, time.perf_counter() - task.reading_seconds
 
     def lap(name: str) -> None:
         seconds[name] = time.perf_counter() - began - sum(seconds.values())

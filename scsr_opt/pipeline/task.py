@@ -1,5 +1,6 @@
 """A clip, a scale and options, and the stages that need nothing else: motion, samples, summary of the scene."""
 
+import time
 from dataclasses import dataclass
 from typing import SupportsIndex
 
@@ -30,13 +31,14 @@ from scsr_opt.solvers.loop import Solver
 class Task:
     """One picture that is to be solved for.
 
-    **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame.
+    **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame, which took `reading_seconds` to read.
     """
 
     recording: Recording
     scale: int
     options: Options
     clip: Clip
+    reading_seconds: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -139,10 +141,11 @@ class Task:
 def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIndex | None, options: Options) -> Task:
     """The clip around a key frame with its validated options. **Raises:** `InputError` for what cannot be used."""
     ready()
+    began = time.perf_counter()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     options = options.validated(recording, scale)
     part = recording if options.crop is None else recording.crop(*options.crop)
     picture_shape((part.height, part.width), scale)  # refuses pictures that do not fit into memory
     clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels)
-    return Task(recording, scale, options, clip)
+    return Task(recording, scale, options, clip, time.perf_counter() - began)

@@ -31,7 +31,8 @@ from scsr_opt.solvers.loop import Solver
 class Task:
     """One picture that is to be solved for.
 
-    **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame, which took `reading_seconds` to read.
+    **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame, which
+    took `reading_seconds` to read.
     """
 
     recording: Recording

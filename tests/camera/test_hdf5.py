@@ -108,3 +108,30 @@ def test_read_recording_a_damaged_chunk_is_still_called_so(tmp_path):
         stored.id.write_direct_chunk((0, 0, 0), b"no gzip at all")
     with pytest.raises(InputError, match="damaged"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.3, 0.5, 0.99])
+def test_read_recording_a_file_cut_short_is_called_damaged_not_locked(tmp_path, kept):
+    path = tmp_path / "r.h5"
+    with h5py.File(path, "w") as file:
+        file["raw_spike"] = np.zeros((12, 50, 50), np.uint8)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(InputError, match="truncated.*damaged") as caught:
+        read_recording(path)
+    assert "is locked" not in str(caught.value)
+
+
+def test_read_recording_a_file_that_was_not_closed_is_said(tmp_path):
+    path = tmp_path / "r.h5"
+    code = """if True:
+        import os, sys, h5py
+        f = h5py.File(sys.argv[1], "w", libver="latest")
+        f["raw_spike"] = [[[1]]]
+        f.swmr_mode = True
+        f.flush()
+        os._exit(0)
+    """
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+    with pytest.raises(InputError, match="was not closed by the program that wrote it: .* run h5clear -s on it"):
+        read_recording(path)

@@ -135,3 +135,47 @@ def test_read_recording_a_file_that_was_not_closed_is_said(tmp_path):
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
     with pytest.raises(InputError, match="was not closed by the program that wrote it: .* run h5clear -s on it"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("missing", [[], ["a.h5"], ["b.h5"], ["a.h5", "b.h5"]])
+def test_read_recording_a_virtual_dataset_needs_its_files(tmp_path, missing):
+    layout = h5py.VirtualLayout(SPIKES.shape, np.uint8)
+    for name, part in (("a.h5", slice(0, 6)), ("b.h5", slice(6, 12))):
+        with h5py.File(tmp_path / name, "w") as file:
+            file["s"] = SPIKES[part]
+        layout[part] = h5py.VirtualSource(name, "s", shape=SPIKES[part].shape)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.create_virtual_dataset("raw_spike", layout)
+    for name in missing:
+        (tmp_path / name).unlink()
+    if missing:
+        with pytest.raises(InputError, match=f"'raw_spike' as a view of {missing[0]}, which is not there"):
+            read_recording(tmp_path / "r.h5")
+    else:
+        np.testing.assert_array_equal(read_recording(tmp_path / "r.h5").spikes, SPIKES)
+
+
+def test_read_recording_a_virtual_dataset_of_its_own_file_is_read(tmp_path):
+    layout = h5py.VirtualLayout(SPIKES.shape, np.uint8)
+    layout[:] = h5py.VirtualSource(".", "s", shape=SPIKES.shape)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["s"] = SPIKES
+        file.create_virtual_dataset("raw_spike", layout)
+    np.testing.assert_array_equal(read_recording(tmp_path / "r.h5").spikes, SPIKES)
+
+
+@pytest.mark.parametrize("ending", ["npy", "npz", "h5"])
+@pytest.mark.parametrize("kind", [[("a", "i4")], "f4", "c8", "S3", "M8[s]"])
+def test_read_recording_values_of_another_type_are_refused(tmp_path, ending, kind):
+    path, array = tmp_path / f"r.{ending}", np.zeros((12, 5, 7), kind)
+    if ending == "h5":
+        if kind == "M8[s]":
+            pytest.skip("HDF5 has no such type")
+        with h5py.File(path, "w") as file:
+            file["raw_spike"] = array
+    elif ending == "npz":
+        np.savez(path, spikes=array)
+    else:
+        np.save(path, array)
+    with pytest.raises(InputError, match="holds values of type .*, but spikes are bool or integer"):
+        read_recording(path)

@@ -11,6 +11,7 @@ ratio is 0 to 0.3 along time in real recordings and 1 to 1.2 along any other axi
 frames of another size. For the second, `row_agreement` compares pixels a row apart.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -25,6 +26,9 @@ REGULAR_BELOW = 0.6
 """Ratio below which lines are trains of an integrator: none along rows or columns was below 0.74 (docs/formats.md)."""
 IRREGULAR_ABOVE = 0.85
 """Ratio above which lines are none: real recordings stay below 0.3."""
+APART_BELOW = 0.4
+"""Coincidences that chance would make along time in the dark, as a fraction of those along rows and columns: up to 0.33
+where pixels fire once in 20 to 60 frames, about 1 where they fire at random."""
 SATURATED_FRAMES = 5
 """Frames one after another in which a pixel that fires in all of them is taken for saturated. Where it goes in and out
 of saturation, as where a fine texture passes in too bright light, it fires without regard to when it last did."""
@@ -99,13 +103,26 @@ def axis_regularity(stored: Any) -> tuple[Regularity, Regularity, Regularity]:
     ]
     block = np.asarray(stored[tuple(middle)]) != 0
     along = [regularity([np.moveaxis(block, axis, 0).reshape(block.shape[axis], -1)]) for axis in range(3)]
+    # An axis this short has no room for spikes far apart: nothing to be counted along it says nothing.
+    along = [
+        Regularity(each.ratio, math.nan) if block.shape[axis] < PIECES_FRAMES[0] and not each.certain else each
+        for axis, each in enumerate(along)
+    ]
     return (along[0], along[1], along[2])
 
 
 def contradiction(found: tuple[Regularity, ...], axis: int) -> int | None:
     """Axis that is time by its content, if `axis` clearly is not; else None."""
-    others = [other for other in range(3) if other != axis and found[other].regular]
+    others = [other for other in range(3) if other != axis and (found[other].regular or _apart(found, other))]
     return others[0] if found[axis].irregular and len(others) == 1 else None
+
+
+def _apart(found: tuple[Regularity, ...], axis: int) -> bool:
+    """Test of an axis along which alone spikes are too far apart to be counted, as they are along time in the dark."""
+    others = [found[other] for other in range(3) if other != axis]
+    return all(
+        each.certain and not each.regular and found[axis].expected < APART_BELOW * each.expected for each in others
+    )
 
 
 def row_agreement(rates: Shaped[np.ndarray, "n"], widths: Iterable[int]) -> dict[int, tuple[float, float, float]]:

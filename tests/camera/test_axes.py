@@ -143,6 +143,17 @@ def test_time_first_is_read_without_a_question(tmp_path, name, shape):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("white_rate", [0.04, 0.06, 0.1])
+@pytest.mark.parametrize("kind", ["smooth", "noise", "flat"])
+def test_time_last_in_the_dark_is_asked_for_and_time_first_is_not(tmp_path, name, kind, white_rate):
+    """A pixel fires once in 20 to 60 frames: there is nothing to be counted along time, but along the other axes."""
+    spikes = _spikes((101, 160, 150), kind, sensor=Sensor(white_rate=white_rate, photons=20.0))
+    np.testing.assert_array_equal(read_recording(_saved(tmp_path, name, spikes)).spikes, spikes)
+    with pytest.raises(InputError, match="its content looks as if axis 2 were time: pass size='101x150' or"):
+        read_recording(_saved(tmp_path, name, np.moveaxis(spikes, 0, -1)))
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_known_camera_against_the_convention_is_asked_for_where_the_content_does_not_tell(tmp_path, name):
     with pytest.raises(InputError, match=r"pass size='3x400' or size='400x250'"):
         read_recording(_saved(tmp_path, name, np.zeros((250, 400, 3), np.uint8)))

@@ -18,8 +18,7 @@ def as_array(value: Any, name: str) -> np.ndarray:
     **Raises:** `InputError` if it is a masked array (or a list of some), whose mask would be ignored, a list whose
     parts differ in length, or something that NumPy cannot read, such as a tensor on another device.
     """
-    parts = value if isinstance(value, list | tuple) else [value]
-    if any(isinstance(part, np.ma.MaskedArray) for part in parts):
+    if _masked(value):
         raise InputError(
             f"{name} is a masked array, whose mask would be ignored; hand in array.filled(value), and mark pixels that "
             f"must not be used by bad_pixels."
@@ -36,6 +35,17 @@ def as_array(value: Any, name: str) -> np.ndarray:
             f"{name} is a {type(value).__name__} that NumPy cannot read ({type(error).__name__}: {why}); hand in a "
             f"NumPy array, for example tensor.detach().cpu().numpy()."
         ) from error
+
+
+def _masked(value: Any) -> bool:
+    """Test of a masked array, or one in a list at any depth."""
+    if not isinstance(value, list | tuple):
+        return isinstance(value, np.ma.MaskedArray)
+    # By types, of which a list has few: numbers one by one take longer than to make an array of them.
+    kinds = set(map(type, value))
+    if any(issubclass(kind, np.ma.MaskedArray) for kind in kinds):
+        return True
+    return any(issubclass(kind, list | tuple) for kind in kinds) and any(map(_masked, value))
 
 
 def own(value: Any, name: str) -> np.ndarray:

@@ -147,6 +147,8 @@ def test_door_readable_tensor_works_as_the_array(door):
     [
         [np.ma.masked_array([1, 2], mask=[False, True])],
         (np.ma.masked_array([1, 2], mask=False),),
+        [[[1, 2]], (np.ma.masked_array([1, 2], mask=[False, True]),)],
+        [[1, np.ma.masked], [3, 4]],
         np.ma.masked_array([1, 2]),
         np.ma.masked_less(np.arange(3), 1),
         np.ma.masked_all((2, 2)),

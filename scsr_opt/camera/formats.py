@@ -176,6 +176,7 @@ def _read_npy(request: _Request) -> _Read:
     path = request.path
     stored = _open_npy(path)
     shape = checked_shape(stored.shape, path.name)
+    _check_type(stored.dtype, path.name)
     last = time_axis(stored, path.name, size=request.size, convention=FIRST) == LAST
     source = NpySource(path, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
@@ -257,6 +258,8 @@ def _read_hdf5(request: _Request) -> _Read:
             dataset = cast(h5py.Dataset, file[key])
             where = f"{path.name}, dataset {key!r},"
             shape = checked_shape(tuple(dataset.shape or ()), where)
+            _check_type(dataset.dtype, where)
+            _check_parts(path, dataset)
             attributes = {**file.attrs, **dataset.attrs}
             extras = {name: _scalar(np.asarray(attributes[name])) for name in _RATES if name in attributes}
             if _MASK in file:
@@ -269,6 +272,28 @@ def _read_hdf5(request: _Request) -> _Read:
     source = Hdf5Source(path, key, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
     return source, bool(request.flip), extras
+
+
+def _check_type(kind: np.dtype, where: str) -> None:
+    """**Raises:** `InputError` if values of this type are no spikes, before they are counted."""
+    as_spikes(np.empty(0, kind), where)
+
+
+def _check_parts(path: Path, dataset: h5py.Dataset) -> None:
+    """Looks for the other files that a virtual dataset is put together from, as HDF5 has zeros for missing ones.
+
+    **Raises:** `InputError` if one is not there.
+    """
+    if not dataset.is_virtual:
+        return
+    for part in dataset.virtual_sources():
+        name = part.file_name
+        # "." is this file; names with % are patterns of as many files as there are.
+        if name != "." and "%" not in name and not (path.parent / name).is_file() and not Path(name).is_file():
+            raise InputError(
+                f"{path} holds {(dataset.name or '').strip('/')!r} as a view of {name}, which is not there: put it "
+                f"beside it, or name another dataset by key, on the command line by --array."
+            )
 
 
 def _time_first(shape: tuple[int, int, int], last: bool) -> tuple[int, int, int]:

@@ -11,6 +11,7 @@ ratio is 0 to 0.3 along time in real recordings and 1 to 1.2 along any other axi
 frames of another size. For the second, `row_agreement` compares pixels a row apart.
 """
 
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -25,6 +26,13 @@ REGULAR_BELOW = 0.6
 """Ratio below which lines are trains of an integrator: none along rows or columns was below 0.74 (docs/formats.md)."""
 IRREGULAR_ABOVE = 0.85
 """Ratio above which lines are none: real recordings stay below 0.3."""
+APART_BELOW = 0.4
+"""Coincidences that chance would make along time in the dark, as a fraction of those along rows and columns: up to 0.33
+where pixels fire once in 20 to 60 frames, about 1 where they fire at random."""
+BUNCHED_FROM = 1.3
+"""Ratio from which spikes come together, as where a thin bright line passes in the dark (1.4 to 1.7), not by chance."""
+DARK_BELOW = 0.06
+"""Spikes per pixel and frame below which most pixels have at most one spike in 16 frames."""
 SATURATED_FRAMES = 5
 """Frames one after another in which a pixel that fires in all of them is taken for saturated. Where it goes in and out
 of saturation, as where a fine texture passes in too bright light, it fires without regard to when it last did."""
@@ -99,13 +107,32 @@ def axis_regularity(stored: Any) -> tuple[Regularity, Regularity, Regularity]:
     ]
     block = np.asarray(stored[tuple(middle)]) != 0
     along = [regularity([np.moveaxis(block, axis, 0).reshape(block.shape[axis], -1)]) for axis in range(3)]
+    # Nothing to be counted along an axis says nothing where it is short, or it is not the dark that spaces spikes out.
+    bright = bool(block.mean() > DARK_BELOW)
+    along = [
+        Regularity(each.ratio, math.nan)
+        if not each.certain and (bright or block.shape[axis] < PIECES_FRAMES[0])
+        else each
+        for axis, each in enumerate(along)
+    ]
     return (along[0], along[1], along[2])
 
 
 def contradiction(found: tuple[Regularity, ...], axis: int) -> int | None:
     """Axis that is time by its content, if `axis` clearly is not; else None."""
-    others = [other for other in range(3) if other != axis and found[other].regular]
+    others = [other for other in range(3) if other != axis and (found[other].regular or _apart(found, other))]
     return others[0] if found[axis].irregular and len(others) == 1 else None
+
+
+def _apart(found: tuple[Regularity, ...], axis: int) -> bool:
+    """Test of an axis along which alone spikes are too far apart to be counted, as they are along time in the dark."""
+    others = [found[other] for other in range(3) if other != axis]
+    return not found[axis].certain and all(
+        each.certain
+        and REGULAR_BELOW <= each.ratio < BUNCHED_FROM
+        and found[axis].expected < APART_BELOW * each.expected
+        for each in others
+    )
 
 
 def row_agreement(rates: Shaped[np.ndarray, "n"], widths: Iterable[int]) -> dict[int, tuple[float, float, float]]:

@@ -247,10 +247,16 @@ def pack(frames: UInt8[np.ndarray, "n h w"], layout: FlatLayout, flipped: bool) 
 def hdf5_fault(path: Path, error: Exception) -> InputError | None:
     """What h5py's `error` means where the file itself is not to blame; None for all others."""
     text = str(error).lower()
-    if "lock" in text and "file" in text:
+    # Not any "lock": what is said of a file cut short speaks of its superblock.
+    if "unable to lock file" in text:
         return InputError(
             f"{path} is locked, another program has it open for writing: close it there, or set the environment "
             f"variable HDF5_USE_FILE_LOCKING=FALSE if it only stayed locked."
+        )
+    if "already open for" in text:
+        return InputError(
+            f"{path} is open for writing, or was not closed by the program that wrote it: close it there, or, if that "
+            f"has ended, run h5clear -s on it."
         )
     if "plugin" in text or ("filter" in text and ("not registered" in text or "not available" in text)):
         return InputError(

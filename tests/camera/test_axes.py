@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.formats import read_recording, write_recording
-from scsr_opt.camera.plausibility import axis_regularity
+from scsr_opt.camera.plausibility import axis_regularity, contradiction
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.camera.simulator import Sensor, simulate
@@ -140,6 +140,30 @@ def test_time_first_is_read_without_a_question(tmp_path, name, shape):
     """Spikes and bits drawn at random, where nothing speaks against the convention."""
     for spikes in (_spikes(shape), _noise(shape), np.zeros(shape, np.uint8), np.ones(shape, np.uint8)):
         np.testing.assert_array_equal(read_recording(_saved(tmp_path, name, spikes)).spikes, spikes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("white_rate", [0.04, 0.06, 0.1])
+@pytest.mark.parametrize("kind", ["smooth", "noise", "flat"])
+def test_time_last_in_the_dark_is_asked_for_and_time_first_is_not(tmp_path, name, kind, white_rate):
+    """A pixel fires once in 20 to 60 frames: there is nothing to be counted along time, but along the other axes."""
+    spikes = _spikes((101, 160, 150), kind, sensor=Sensor(white_rate=white_rate, photons=20.0))
+    np.testing.assert_array_equal(read_recording(_saved(tmp_path, name, spikes)).spikes, spikes)
+    with pytest.raises(InputError, match="its content looks as if axis 2 were time: pass size='101x150' or"):
+        read_recording(_saved(tmp_path, name, np.moveaxis(spikes, 0, -1)))
+
+
+@pytest.mark.parametrize("upright", [True, False])
+@pytest.mark.parametrize("velocity", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("width", [1, 3, 10])
+def test_time_first_of_bright_lines_that_pass_is_not_asked_for(width, velocity, upright):
+    """Along the lines chance makes few coincidences as well, and along time they fire without regard to the last."""
+    rows, columns = np.mgrid[:64, :64]
+    along, drift = (columns, (0.0, velocity)) if upright else (rows, (velocity, 0.0))
+    for period, dark in ((20, 0.1), (60, 0.01)):
+        scene = Translation(dark + 0.85 * (along % period < width), drift)
+        spikes = simulate(scene, scale=1, frames=101, sensor=Sensor(white_rate=0.85)).spikes
+        assert contradiction(axis_regularity(spikes), 0) is None
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -108,3 +108,74 @@ def test_read_recording_a_damaged_chunk_is_still_called_so(tmp_path):
         stored.id.write_direct_chunk((0, 0, 0), b"no gzip at all")
     with pytest.raises(InputError, match="damaged"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.3, 0.5, 0.99])
+def test_read_recording_a_file_cut_short_is_called_damaged_not_locked(tmp_path, kept):
+    path = tmp_path / "r.h5"
+    with h5py.File(path, "w") as file:
+        file["raw_spike"] = np.zeros((12, 50, 50), np.uint8)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(InputError, match="truncated.*damaged") as caught:
+        read_recording(path)
+    assert "is locked" not in str(caught.value)
+
+
+def test_read_recording_a_file_that_was_not_closed_is_said(tmp_path):
+    path = tmp_path / "r.h5"
+    code = """if True:
+        import os, sys, h5py
+        f = h5py.File(sys.argv[1], "w", libver="latest")
+        f["raw_spike"] = [[[1]]]
+        f.swmr_mode = True
+        f.flush()
+        os._exit(0)
+    """
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+    with pytest.raises(InputError, match="was not closed by the program that wrote it: .* run h5clear -s on it"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("missing", [[], ["a.h5"], ["b.h5"], ["a.h5", "b.h5"]])
+def test_read_recording_a_virtual_dataset_needs_its_files(tmp_path, missing):
+    layout = h5py.VirtualLayout(SPIKES.shape, np.uint8)
+    for name, part in (("a.h5", slice(0, 6)), ("b.h5", slice(6, 12))):
+        with h5py.File(tmp_path / name, "w") as file:
+            file["s"] = SPIKES[part]
+        layout[part] = h5py.VirtualSource(name, "s", shape=SPIKES[part].shape)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.create_virtual_dataset("raw_spike", layout)
+    for name in missing:
+        (tmp_path / name).unlink()
+    if missing:
+        with pytest.raises(InputError, match=f"'raw_spike' as a view of {missing[0]}, which is not there"):
+            read_recording(tmp_path / "r.h5")
+    else:
+        np.testing.assert_array_equal(read_recording(tmp_path / "r.h5").spikes, SPIKES)
+
+
+def test_read_recording_a_virtual_dataset_of_its_own_file_is_read(tmp_path):
+    layout = h5py.VirtualLayout(SPIKES.shape, np.uint8)
+    layout[:] = h5py.VirtualSource(".", "s", shape=SPIKES.shape)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["s"] = SPIKES
+        file.create_virtual_dataset("raw_spike", layout)
+    np.testing.assert_array_equal(read_recording(tmp_path / "r.h5").spikes, SPIKES)
+
+
+@pytest.mark.parametrize("ending", ["npy", "npz", "h5"])
+@pytest.mark.parametrize("kind", [[("a", "i4")], "f4", "c8", "S3", "M8[s]"])
+def test_read_recording_values_of_another_type_are_refused(tmp_path, ending, kind):
+    path, array = tmp_path / f"r.{ending}", np.zeros((12, 5, 7), kind)
+    if ending == "h5":
+        if kind == "M8[s]":
+            pytest.skip("HDF5 has no such type")
+        with h5py.File(path, "w") as file:
+            file["raw_spike"] = array
+    elif ending == "npz":
+        np.savez(path, spikes=array)
+    else:
+        np.save(path, array)
+    with pytest.raises(InputError, match="holds values of type .*, but spikes are bool or integer"):
+        read_recording(path)

@@ -64,10 +64,12 @@ for name, options in (("unrolled", {"record": False}), ("spikesr-small", {"recor
 """
 _WAVELETS = """
 from scsr_opt import reconstruct
+from scsr_opt.motion import Motion
 from scsr_opt.priors import WaveletL1
 from scsr_opt.solvers import FISTA
 
-given = {"scale": 2, "strength": 0.005, "velocity": (0, 0.1), "gain": None, "prior": WaveletL1(iterations=20)}
+motion = Motion.constant((0, 0.1), spikes.shape[1:])
+given = {"scale": 2, "strength": 0.005, "motion": motion, "gain": None, "prior": WaveletL1(iterations=20)}
 usual = reconstruct(spikes, **given)
 exact = reconstruct(spikes, **given, solver=FISTA(iterations=3000, tolerance=1e-6))
 assert usual.status.name == exact.status.name == "converged"

@@ -71,15 +71,15 @@ def reconstructed():
     return reconstruct(spikes(), scale=2).image.shape
 
 def sequenced():
-    from scsr_opt import sequence
-    return next(sequence(spikes(), scale=2, keys=[10]))
+    from scsr_opt import reconstruct_sequence
+    return next(reconstruct_sequence(spikes(), scale=2, keys=[10]))
 
 def moved():
     from scsr_opt.motion.estimators.automatic import estimate_motion
     return estimate_motion(spikes(), key=10)
 
 def gains():
-    from scsr_opt.camera import gain_at_rest
+    from scsr_opt.calibration import gain_at_rest
     return gain_at_rest(spikes(), white_rate=0.6)
 
 def applied():
@@ -96,7 +96,8 @@ def baseline():
 
 def baseline_with_motion():
     from scsr_opt.baselines import mgsr
-    return mgsr(spikes(), scale=2, velocity=(0.1, 0.2))
+    from scsr_opt.motion import Motion
+    return mgsr(spikes(), scale=2, motion=Motion.none(*spikes().shape[1:]))
 
 def network():
     import learned

@@ -14,7 +14,6 @@ from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.camera.sampling_rules import Intervals
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.sparse import sparse_pixels
-from scsr_opt.motion.estimators.parametric import _points
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.folds import held_out
@@ -76,24 +75,6 @@ def test_held_out_samples_of_a_turned_sensor_are_turned(turn, shape, moves):
 
     spikes = (np.random.default_rng(0).random((40, *shape)) < 0.3).astype(np.uint8)
     np.testing.assert_array_equal(turn.picture(held(turn.picture(spikes))), held(spikes))
-
-
-@pytest.mark.parametrize("shape", [(8, 9), (24, 32), (40, 48), (64, 64), (71, 90), (120, 101), (250, 400)])
-def test_points_of_a_turned_picture_are_turned(turn, shape):
-    """Looked at are many, spread over all blocks; and each lies in the block that its mirror image lies in."""
-
-    def looked_at(shape: tuple[int, int]) -> tuple[np.ndarray, int]:
-        points = _points(*shape, None, None)
-        number = np.zeros((shape[0] - 1, shape[1] - 1))
-        row, column = points.position[:, points.region > 0].astype(int)
-        number[row, column] = 1 + points.block[points.region > 0]
-        return number, points.region.size
-
-    (number, size), (other, _) = looked_at(shape), looked_at(turn.picture(np.zeros(shape)).shape)
-    np.testing.assert_array_equal(turn.picture(other) > 0, number > 0)
-    assert np.count_nonzero(number) >= 0.95 * min(size, number.size)
-    pairs = np.unique(np.stack([number[number > 0], turn.picture(other)[number > 0]]), axis=1).shape[1]
-    assert pairs <= 1.3 * np.unique(number[number > 0]).size  # blocks on blocks, but for the middle of odd sides
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
         # By the solver that is named where the network is used (`learned.zoo`).
         given = {"white_rate": float(white_rate), "prior": first_prior(), "solver": FISTA()}
         found = reconstruct(np.asarray(spikes), scale=scale, **given)
-        return found.image, np.float32(found.diagnostics.strength)  # none where nothing was seen
+        return found.image, np.float32(found.diagnostics.strength or 0.0)  # none where nothing was seen
 
     def make(example: Example) -> Mapping[str, Any]:
         image, strength = solution(example.spikes, example.white_rate)

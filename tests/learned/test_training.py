@@ -298,7 +298,7 @@ def test_configurations_that_are_refused(entries, message):
 
 def test_files_that_are_no_configuration(tmp_path):
     with pytest.raises(
-        InputError, match="There is no configuration tall-x3: .* one of compensation-x2, .*spikesr-plain-x4, smoke"
+        InputError, match="There is no configuration tall-x3: .* one of compensation-x2, .*smoke, spikesr-full-x2"
     ):
         TrainingConfig.read("tall-x3")
     (tmp_path / "a.toml").write_text("scale = \n")

@@ -48,7 +48,7 @@ def test_reconstruct_motion_is_taken_as_it_is(made, usual):
     """By one velocity, by a field of it, and as it came out of a solution."""
     field = np.empty((2, *made.spikes.shape[1:]), np.float32)
     field[0], field[1] = VELOCITY
-    assert usual.motion is MOTION
+    assert usual.motion is not MOTION  # a copy, which the caller may write to
     np.testing.assert_array_equal(usual.velocity, field)
     for motion in (Motion.of_velocity(field), usual.motion):
         again = reconstruct(made.spikes, scale=SCALE, motion=motion)

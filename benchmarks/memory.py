@@ -26,7 +26,7 @@ _HEIGHTS, _WIDTHS = 21, 27
 
 
 def crop_sizes(number: int) -> list[tuple[int, int]]:
-    """As many different sizes, of which none is much larger than another."""
+    """`number` different sizes, of which none is much larger than another."""
     sizes = [(_SMALLEST[0] + n % _HEIGHTS, _SMALLEST[1] + n % _WIDTHS) for n in range(_HEIGHTS * _WIDTHS)]
     different = list(dict.fromkeys(sizes))
     if number > len(different):

@@ -1,4 +1,4 @@
-"""What JAX is to run on, looked for before the work begins."""
+"""Check of the device that JAX runs on, made before the work begins."""
 
 import functools
 

@@ -13,7 +13,7 @@ from scsr_opt.errors import InputError
 _started = False
 """Whether JAX had been started when this process forked last."""
 _orphaned = False
-"""Whether it had been in the process that this one was forked from."""
+"""True in a process that was forked from one in which JAX had been started."""
 
 
 def refuse_fork() -> None:

@@ -42,7 +42,7 @@ _OWNERS = ("scsr_opt", "learned", "jax")
 
 
 class _Room:
-    """What programs have taken since they were let go last."""
+    """Room that compiled programs have taken since they were let go last."""
 
     def __init__(self):
         self.lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""Which axis of an array is time: (frames, rows, columns) and (rows, columns, frames) are both about.
+"""Axis of time of an array: (frames, rows, columns) and (rows, columns, frames) are both about.
 
 Nothing is chosen on the quiet. What decides is, in this order: the size, where it was given; the content, where it is
 clear (see `plausibility`); the size of a known camera; and the convention of the name. Where these do not tell, or

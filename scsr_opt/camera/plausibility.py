@@ -43,7 +43,7 @@ SMOOTHED_PIXELS = 33
 LEAST_AGREEMENT = 0.15
 """Correlation of neighbours from which on a picture is one that rows can be told by (real ones: 0.19 to 0.95)."""
 LEAST_DEVIATIONS = 10.0
-"""The same for small sensors, in standard deviations of the correlation of unrelated pixels."""
+"""Limit of the correlation for small sensors, in standard deviations of the correlation of unrelated pixels."""
 DISAGREEMENT = 0.4
 """Fraction of the correlation of the right rows below which rows do not belong together: wrong ones are below 0.1."""
 

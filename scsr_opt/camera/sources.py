@@ -245,7 +245,7 @@ def pack(frames: UInt8[np.ndarray, "n h w"], layout: FlatLayout, flipped: bool) 
 
 
 def hdf5_fault(path: Path, error: Exception) -> InputError | None:
-    """What h5py's `error` means where the file itself is not to blame; None for all others."""
+    """Meaning of h5py's `error` where the file itself is not to blame; None for all others."""
     text = str(error).lower()
     # Not any "lock": what is said of a file cut short speaks of its superblock.
     if "unable to lock file" in text:

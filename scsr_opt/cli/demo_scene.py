@@ -67,7 +67,7 @@ def psnr(truth: Float[np.ndarray, "H W"], image: Float[np.ndarray, "H W"], borde
 
 
 FILES = ("recording.npz", "report.json", "truth.png", "picture.png", "figure.png")
-"""What `run` writes."""
+"""Files that `run` writes."""
 
 
 def run(folder: Path, *, progress: Progress | None = None) -> Demo:

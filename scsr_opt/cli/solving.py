@@ -130,7 +130,7 @@ class Solving:
     def arguments(
         self, recording: "scsr_opt.camera.Recording", scale: int, crop: tuple[int, int, int, int] | None
     ) -> dict[str, Any]:
-        """Those of `reconstruct`; what was not asked for is left to its defaults. `recording`: of the whole sensor.
+        """Arguments of `reconstruct`; options that were not given are left to its defaults. `recording`: of the whole sensor.
 
         **Raises:** `InputError` for what does not go together, or with this recording.
         """

@@ -130,7 +130,9 @@ class Solving:
     def arguments(
         self, recording: "scsr_opt.camera.Recording", scale: int, crop: tuple[int, int, int, int] | None
     ) -> dict[str, Any]:
-        """Arguments of `reconstruct`; options that were not given are left to its defaults. `recording`: of the whole sensor.
+        """Arguments of `reconstruct`; options that were not given are left to its defaults.
+
+        `recording`: of the whole sensor.
 
         **Raises:** `InputError` for what does not go together, or with this recording.
         """

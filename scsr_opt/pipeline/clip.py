@@ -64,6 +64,6 @@ class Clip(NamedTuple):
         return self.start + self.key
 
     def part(self, rows: slice, columns: slice) -> "Clip":
-        """The same frames of a rectangle of the sensor."""
+        """Clip of a rectangle of the sensor, with these frames."""
         bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
         return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad)

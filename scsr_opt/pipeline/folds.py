@@ -1,4 +1,4 @@
-"""Which measurements are held out, for a picture made from the others to predict them (`scsr_opt.pipeline.strength`).
+"""Choice of the measurements that are held out, to be predicted by a picture made from the others (`StrengthSearch`).
 
 One sample in `SHARE` is. Where the scene moves by a sensor pixel, other pixels see what this one sees: all samples of
 one pixel in five. Where it does not, one stretch of time in five, of `STRETCH` frames and two intervals at least. Each

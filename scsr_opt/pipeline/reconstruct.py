@@ -29,7 +29,7 @@ from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Status
 
 UPDATES = (GainUpdate(), MotionRefinement())
-"""What is found anew between two solves, in this order."""
+"""Updates that are applied between two solves, in this order."""
 
 
 def reconstruct(

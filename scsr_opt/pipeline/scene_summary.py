@@ -1,4 +1,4 @@
-"""What each part of a scene needed: a summary for people, made from motion and samples.
+"""Summary of a scene for people: what each part of it needed, found from motion and samples.
 
 It decides nothing; `Shortcuts` says what work may be left out, and the stages say where. Each tile of the sensor gets
 one `TileKind` by these tests of its spikes:

@@ -1,4 +1,4 @@
-"""What a reconstruction returns: `Solution`, its picture with all that is known of how it was found."""
+"""`Solution`, the result of a reconstruction: its picture, and all that is known of how it was found."""
 
 import copy
 import functools

@@ -21,6 +21,7 @@ from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.losses import Loss
 from scsr_opt.pipeline.defaults import default_prior
+from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.loop import Solver
@@ -94,6 +95,7 @@ class Options:
       `bad_pixels` and `gain` may be those of the whole sensor or of the part; `motion`, `optics` and `state` are those
       of the part.
     - `keep_images`: every stage keeps its pictures.
+    - `settings`: thresholds of every stage, which rarely need to be changed.
     """
 
     frames: SupportsIndex = USUAL_FRAMES
@@ -111,6 +113,7 @@ class Options:
     shortcuts: Shortcuts = field(default_factory=Shortcuts)
     crop: Sequence[SupportsIndex] | np.ndarray | None = None
     keep_images: bool = False
+    settings: PipelineSettings = field(default_factory=PipelineSettings)
 
     @classmethod
     def of(cls, options: "Options | None", changes: dict[str, Any]) -> "Options":
@@ -146,6 +149,7 @@ class Options:
         check_type(self.solver, Solver, "solver", "FISTA()")
         check_type(self.robust, Loss, "robust", "Huber()")
         check_type(self.shortcuts, Shortcuts, "shortcuts", "Shortcuts.none()")
+        check_type(self.settings, PipelineSettings, "settings", "PipelineSettings()")
         check_type(self.lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
         prior = default_prior(scale) if self.prior is None else self.prior
         if self.solver is not None:

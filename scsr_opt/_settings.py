@@ -1,0 +1,45 @@
+"""`Settings`, the base of frozen dataclasses whose fields are numbers that a computation hinges on."""
+
+import math
+import operator
+from dataclasses import dataclass, fields
+
+from scsr_opt.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Numbers that a stage hinges on, each a field with a sentence that says its unit and what it decides.
+
+    **Raises:** `InputError` for a field that is not what its default is: a whole number, a finite number that is not
+    negative, a tuple of such numbers, or settings.
+    """
+
+    def __post_init__(self):
+        for one in fields(self):
+            value, name = getattr(self, one.name), f"{type(self).__name__}.{one.name}"
+            example = one.default_factory() if callable(one.default_factory) else one.default
+            if isinstance(example, Settings):
+                if not isinstance(value, type(example)):
+                    raise InputError(f"{name} is {value!r}; it must be a {type(example).__name__}.")
+            elif isinstance(example, tuple):
+                if not isinstance(value, tuple) or len(value) != len(example):
+                    raise InputError(f"{name} is {value!r}; it must be a tuple of {len(example)} numbers.")
+                object.__setattr__(
+                    self, one.name, tuple(_number(part, like, name) for part, like in zip(value, example, strict=True))
+                )
+            else:
+                object.__setattr__(self, one.name, _number(value, example, name))
+
+
+def _number(value: object, example: object, name: str) -> float | int:
+    """`value` as the int or float that `example` is."""
+    whole = isinstance(example, int)
+    try:
+        found = math.nan if isinstance(value, bool) else operator.index(value) if whole else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        found = math.nan
+    if not (math.isfinite(found) and found >= 0):
+        kind = "whole" if whole else "finite"
+        raise InputError(f"{name} is {value!r}; it must be a {kind} number that is not negative, such as {example!r}.")
+    return found

@@ -94,7 +94,8 @@ class GainNetwork(eqx.Module):
         with np.load(path) as arrays:
             count = len(arrays.files) // 2
             weights = [jnp.asarray(arrays[f"{name}{n}"]) for name in ("weight", "bias") for n in range(count)]
-        network = GainNetwork(weights[0].shape[0], count, key=jax.random.key(0))
+        # Only the layout is needed: drawing first weights would compile five programs.
+        network = eqx.filter_eval_shape(lambda: GainNetwork(weights[0].shape[0], count, key=jax.random.key(0)))
         return eqx.tree_at(
             lambda n: [getattr(layer, name) for name in ("weight", "bias") for layer in n.layers], network, weights
         )

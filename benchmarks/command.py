@@ -21,7 +21,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from scsr_opt._files import whole_file
-from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.cli.options import check_outputs, progress
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
@@ -67,9 +66,6 @@ def main(benchmark: Benchmark, arguments: list[str] | None = None) -> dict[str, 
     parser.add_argument("--page", type=Path, help="page whose tables and plots are to be written anew")
     parser.add_argument("--from", type=Path, dest="kept", help="a JSON file to make the page of; nothing is measured")
     chosen = parser.parse_args(arguments)
-    if arguments is None:  # a process of its own; JAX, which is imported, has read its environment already
-        keep_compiled()
-        jax.config.update("jax_compilation_cache_dir", os.environ.get("JAX_COMPILATION_CACHE_DIR"))
     try:
         families = _families(benchmark, chosen.only)
         if chosen.seed < 0:

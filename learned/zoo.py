@@ -46,7 +46,7 @@ from learned.networks.restoration import RestorationNet, first_prior, restored
 from learned.training import checkpoint
 from scsr_opt import reconstruct
 from scsr_opt._arrays import as_array
-from scsr_opt._kernels.device import check_device
+from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
@@ -421,7 +421,7 @@ def model(name: str, scale: int) -> Model:
 
     **Raises:** `InputError` if there is no such rung, no weights for it, or no device for JAX to run on.
     """
-    check_device()  # priors and weights are arrays of JAX's
+    ready()  # priors and weights are arrays of JAX's
     if name in OPTIMIZERS:
         prior, solver = OPTIMIZERS[name]()
         return Optimizer(name, prior, solver)

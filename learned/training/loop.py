@@ -39,7 +39,7 @@ from learned.training.data import Examples, Pictures
 from learned.training.data_loader import batches, stacked
 from learned.training.prepared_cache import Preparing, prepare
 from learned.training.registry import Trainable, trainable
-from scsr_opt._kernels.device import check_device
+from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress, check_progress
 
@@ -127,7 +127,7 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
     **Raises:** `InputError` if the folder cannot be written, holds the run of another configuration, or the pictures
     cannot be used.
     """
-    check_device()
+    ready()
     check_progress(progress)
     started, folder = time.perf_counter(), Path(out)
     task = trainable(config.model, config.scale, config.network)

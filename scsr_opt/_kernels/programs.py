@@ -26,6 +26,7 @@ import jax.numpy as jnp
 
 from scsr_opt._kernels.device import check_device
 from scsr_opt._kernels.forks import refuse_fork
+from scsr_opt._kernels.kept import keep_programs
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -73,6 +74,7 @@ def ready() -> None:
     """
     refuse_fork()
     check_device()
+    keep_programs()
     if _room.compiled == _room.looked_at or not _room.lock.acquire(blocking=False):
         return
     try:

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy.typing import ArrayLike
 
-from scsr_opt._kernels.device import check_device
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording, checked_white_rate
@@ -60,7 +59,7 @@ def part_of(
 
     **Raises:** `InputError` if one of them cannot be used.
     """
-    check_device()
+    ready()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape((recording.height, recording.width), scale)  # fits into memory

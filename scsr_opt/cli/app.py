@@ -16,7 +16,7 @@ from importlib.metadata import entry_points
 from cyclopts import App
 
 from scsr_opt.cli.baseline import baseline
-from scsr_opt.cli.compiled import keep_compiled
+from scsr_opt.cli.cache import cache, warm
 from scsr_opt.cli.demo import demo
 from scsr_opt.cli.film import film
 from scsr_opt.cli.info import info
@@ -49,7 +49,7 @@ def _app() -> App:
         suppress_keyboard_interrupt=False,
     )
     added = sorted(entry_points(group="scsr.commands"), key=lambda entry: entry.name)
-    for command in (info, simulate, play, solve, film, baseline, demo, *(entry.load() for entry in added)):
+    for command in (info, simulate, play, solve, film, baseline, demo, warm, cache, *(entry.load() for entry in added)):
         # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
         app.command(command, help="\n\n".join(" ".join(p.split()) for p in (command.__doc__ or "").split("\n\n")))
     return app
@@ -62,7 +62,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     error keeps its traceback, for finding faults in the program itself.
     """
     if arguments is None:  # a process of its own
-        keep_compiled()
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold bytes that are no text
     try:

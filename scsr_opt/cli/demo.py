@@ -21,9 +21,9 @@ def demo(
 
     Takes about a minute. Writes the recording, the picture, a report and a figure.
     """
-    from scsr_opt._kernels.device import check_device
+    from scsr_opt._kernels.programs import ready
 
-    check_device()  # before there is a folder
+    ready()  # before there is a folder
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scsr_opt._files import whole_file
-from scsr_opt._kernels.device import check_device
+from scsr_opt._kernels.programs import ready
 from scsr_opt.camera import Recording, Sensor, Simulation, simulate, tfp, write_recording
 from scsr_opt.camera.scenes import Affine
 from scsr_opt.pipeline.solution import Solution
@@ -79,7 +79,7 @@ def run(folder: Path, *, progress: Progress | None = None) -> Demo:
     """
     from scsr_opt import reconstruct
 
-    check_device()
+    ready()
     check_progress(progress)
     simulation = simulated()
     recording = Recording.from_array(simulation.spikes, white_rate=simulation.white_rate, name="demo")

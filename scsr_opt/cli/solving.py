@@ -137,9 +137,9 @@ class Solving:
         **Raises:** `InputError` for what does not go together, or with this recording.
         """
         from scsr_opt import Shortcuts
-        from scsr_opt._kernels.device import check_device
+        from scsr_opt._kernels.programs import ready
 
-        check_device()  # priors and blurs below are made of JAX's arrays
+        ready()  # priors and blurs below are made of JAX's arrays
         part = recording if crop is None else recording.crop(*crop)
         shapes = sorted({(known.height, known.width) for known in (recording, part)}, reverse=True)
         given = {

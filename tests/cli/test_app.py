@@ -25,7 +25,9 @@ def test_help_comes_at_once_and_without_jax():
     assert time.perf_counter() - started < 5  # half a second on an idle machine; what is heavy takes longer than this
 
 
-@pytest.mark.parametrize("command", ["info", "simulate", "play", "solve", "baseline", "demo", "train", "compare"])
+@pytest.mark.parametrize(
+    "command", ["info", "simulate", "play", "solve", "baseline", "demo", "warm", "cache", "train", "compare"]
+)
 def test_help_of_every_command(scsr, command):
     said = scsr(command, "--help")
     assert f"scsr {command}" in said

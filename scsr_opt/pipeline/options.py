@@ -24,7 +24,7 @@ from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Solver
+from scsr_opt.solvers.solver import Solver
 
 
 @dataclass(frozen=True, kw_only=True)

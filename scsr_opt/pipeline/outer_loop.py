@@ -26,9 +26,10 @@ from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
-from scsr_opt.solvers.loop import Outcome, Solver, run
+from scsr_opt.solvers.loop import Outcome, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Stage
+from scsr_opt.solvers.solver import Solver
 from scsr_opt.solvers.stopping import relative
 from scsr_opt.solvers.tiles import TILE, by_tile, is_tileable, run_tiles
 

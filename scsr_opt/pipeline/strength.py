@@ -36,10 +36,11 @@ from scsr_opt.pipeline.measurement import Measurements, measure
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
-from scsr_opt.solvers.loop import Solver, run
+from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.quasi_newton import Smooth
+from scsr_opt.solvers.solver import Solver
 
 # λ = _SMOOTHING · √(noise / frames) · 2 / scale · relative_strength. The square root is how far noise moves the
 # gradient of f at a pixel, which total variation has to hold down; the constant and the scale's part were found on

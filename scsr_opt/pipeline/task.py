@@ -24,7 +24,7 @@ from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.scene_summary import SceneSummary, summarise_scene
 from scsr_opt.pipeline.strength import StrengthSearch, longest_merged
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Solver
+from scsr_opt.solvers.solver import Solver
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from jaxtyping import Array, Float
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Record
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import ProximalGradient, ProximalGradientState, momentum
+from scsr_opt.solvers.solver import Record
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
 # λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.

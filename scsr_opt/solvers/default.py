@@ -2,9 +2,9 @@
 
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.data_proximal import DataProximal
-from scsr_opt.solvers.loop import Solver
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.quasi_newton import LBFGS
+from scsr_opt.solvers.solver import Solver
 
 # The largest λ·(Lipschitz constant of ∇Ψ)/L with which `DataProximal` ends before `FISTA` does: that was slower up to 5
 # and as fast at 6.5. The more the prior asks for, the more iterations it takes (docs/measurements.md).

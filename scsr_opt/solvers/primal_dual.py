@@ -10,8 +10,8 @@ from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import finite
 from scsr_opt.errors import InputError
 from scsr_opt.solvers.linear_solve import ConjugateGradients, LinearSolve
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.splitting import Dual, splitting_of
 from scsr_opt.solvers.step_size import Balance
 from scsr_opt.solvers.stopping import FixedPoint, Stopping

@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.step_size import NormBound, Separable, StepSize
 from scsr_opt.solvers.stopping import Evidence, FixedPoint, Stopping, misfit, relative
 

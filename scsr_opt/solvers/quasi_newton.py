@@ -25,8 +25,8 @@ from scsr_opt._validation import iteration_count
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
 # How much F may rise and still count as lower, in ε|F|: it is a sum of many numbers, and differs so much by rounding.

@@ -27,10 +27,11 @@ from scipy.ndimage import maximum_filter
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.progress import NoProgress, Progress, check_progress
-from scsr_opt.solvers.loop import CORRECTED_AFTER, Correction, Outcome, Record, Solver, run
+from scsr_opt.solvers.loop import CORRECTED_AFTER, Correction, Outcome, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
 from scsr_opt.solvers.record import Stage, Status, TileIterations
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.step_size import Separable
 from scsr_opt.solvers.stopping import FixedPoint
 

@@ -18,19 +18,11 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 
 from scsr_opt._arrays import as_array
+from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, checked_settings
 from scsr_opt.camera.samples import Samples, mean_light
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
-
-_MOVED = 1.0
-"""Sensor pixels that the scene has to move at a pixel before its gain can be told from the picture."""
-FIXED_PATTERN = 0.02
-"""A blind gain's spread from which on a recording is taken to have a fixed pattern. Without one none was found by day
-and up to 0.006 in dim light where all moves together; 0.016 with a dim object, but for two of 24 whose motion was wrong
-(0.09, 0.11). With one of 2 % 0.014 by day: at most 0.1 dB are to be had there, for the time of two more solves."""
-_RANGE = (0.5, 2.0)
-"""Gains beyond this are bad pixels rather than gains."""
 
 
 def with_gain(samples: Samples, gain: Float[np.ndarray, "h w"]) -> Samples:
@@ -52,9 +44,9 @@ def spread_of(gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) ->
     return float(gain[known].std()) if known.any() else 0.0
 
 
-def gain_is_known(moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Where `blind_gain` can tell the gain: the scene has `moved` there by a sensor pixel or more."""
-    return moved >= _MOVED
+def gain_is_known(moved: Float[np.ndarray, "h w"], settings: GainSettings = GainSettings()) -> Bool[np.ndarray, "h w"]:
+    """(h, w), true where the scene has `moved` by enough sensor pixels for `blind_gain` to tell the gain."""
+    return moved >= settings.least_motion_px
 
 
 def share_of_unknown_gain(
@@ -80,6 +72,7 @@ def flat_gain(
     *,
     bad_pixels: ArrayLike | None = None,
     even_over: int = 15,
+    settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
     """Gains from a recording of an evenly lit, still surface: a pixel's rate over the median rate around it.
 
@@ -90,6 +83,7 @@ def flat_gain(
     - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
     - `even_over`: sensor pixels over which the light may be taken as even; what varies more slowly (vignetting) is left
       in.
+    - `settings`: the range of gains that are believed.
 
     **Returns:** (h, w), around 1.
 
@@ -105,7 +99,9 @@ def flat_gain(
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)
     around = median_filter(filled, size=even_over, mode="nearest")
     usable = ~bad & (around > 0)
-    return np.where(usable, np.clip(filled / np.where(usable, around, 1), *_RANGE), 1.0).astype(np.float32)
+    return np.where(usable, np.clip(filled / np.where(usable, around, 1), *settings.believed_range), 1.0).astype(
+        np.float32
+    )
 
 
 def blind_gain(
@@ -115,6 +111,7 @@ def blind_gain(
     moved: Float[np.ndarray, "h w"],
     white_rate: float | int,
     weight: Float[np.ndarray | Array, " n"] | None = None,
+    settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
     """Gains from samples and what the reconstructed picture predicts for them.
 
@@ -136,6 +133,7 @@ def blind_gain(
     - `moved`: (h, w), how far the scene moves at each pixel during the recording, sensor pixels.
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `weight`: (n,), instead of the samples' own: those of `PlacedSamples`, which know what has left the picture.
+    - `settings`: the motion from which on a gain is known, and the range of gains that are believed.
 
     **Returns:** (h, w), 1 where the scene does not move by a pixel or nothing was measured.
     """
@@ -149,7 +147,7 @@ def blind_gain(
         return np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
 
     total, duration = sums(used), sums(np.where(used > 0, stop - start, 0.0))
-    seen = (total > 0) & gain_is_known(moved)
+    seen = (total > 0) & gain_is_known(moved, settings)
     if not seen.any():
         return np.ones(shape, np.float32)
     spike = total / np.maximum(duration, 1) / white_rate
@@ -158,7 +156,7 @@ def blind_gain(
     expected = np.maximum(np.asarray(predicted, np.float64), 0)
 
     def ratio(measured: Float[np.ndarray, "h w"], predicted: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        raw = np.clip((measured + spike) / np.maximum(predicted + spike, 1e-9), *_RANGE)
+        raw = np.clip((measured + spike) / np.maximum(predicted + spike, 1e-9), *settings.believed_range)
         return np.where(seen, raw - np.median(raw[seen]), 0)
 
     def halves(of: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
@@ -173,7 +171,8 @@ def blind_gain(
     if of_gains == 0:
         return np.ones(shape, np.float32)
     kept = of_gains / (of_gains + np.maximum(of_errors, differs**2))
-    return np.clip(1 + kept * ratio(*(soon + late for soon, late in light)), *_RANGE).astype(np.float32)
+    gain = 1 + kept * ratio(*(soon + late for soon, late in light))
+    return np.clip(gain, *settings.believed_range).astype(np.float32)
 
 
 def _robust_variance(values: Float[np.ndarray, " n"]) -> float:

@@ -16,14 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from scsr_opt.calibration.settings import OpticsSettings
 from scsr_opt.errors import InputError
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.losses import residuals
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
-
-GRID = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-"""Standard deviations that are tried, sensor pixels."""
 
 
 class GaussianOptics(NamedTuple):
@@ -46,8 +44,8 @@ def estimate_gaussian_optics(
     pixel: Array,
     solve: Callable[[DataTerm], Float[Array, "H W"]],
     *,
-    tried: Sequence[float | int] = GRID,
-    share: float = 0.1,
+    tried: Sequence[float | int] = OpticsSettings().sigmas_px,
+    share: float = OpticsSettings().held_out_share,
     seed: int = 0,
 ) -> GaussianOptics:
     """The Gaussian blur of the lens, from samples of one recording.

@@ -41,7 +41,7 @@ class Shortcuts:
       between.
     - `reused_sums`: M and c that were summed to find the strength are used again by the solve.
     - `finished_tiles`: tiles of the picture whose residual is small are not iterated any further.
-    - `sampled_gains`: whether there is a fixed pattern is asked of some windows and some of the pixels first.
+    - `sampled_gains`: where some windows and some of the pixels show no fixed pattern, the others are not looked at.
     """
 
     simple_motion: bool = True
@@ -80,7 +80,8 @@ class Options:
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to find it from the recording: where the scene moves by a
       pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
       (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
-      chance (`FIXED_PATTERN`). Where gains are found or given, motion is estimated over them: a pattern rests.
+      chance (`GainSettings.pattern_spread`). Where gains are found or given, motion is estimated over them: a pattern
+      rests.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
@@ -95,7 +96,7 @@ class Options:
       `bad_pixels` and `gain` may be those of the whole sensor or of the part; `motion`, `optics` and `state` are those
       of the part.
     - `keep_images`: every stage keeps its pictures.
-    - `settings`: thresholds of every stage, which rarely need to be changed.
+    - `settings`: thresholds of every stage, which rarely need to be changed (docs/settings.md).
     """
 
     frames: SupportsIndex = USUAL_FRAMES
@@ -151,7 +152,7 @@ class Options:
         check_type(self.shortcuts, Shortcuts, "shortcuts", "Shortcuts.none()")
         check_type(self.settings, PipelineSettings, "settings", "PipelineSettings()")
         check_type(self.lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
-        prior = default_prior(scale) if self.prior is None else self.prior
+        prior = default_prior(scale, self.settings.learned_prior_scale) if self.prior is None else self.prior
         if self.solver is not None:
             self.solver.check(prior)
         motion, bad = self.motion, cut_out(self.bad_pixels, sensor, crop)

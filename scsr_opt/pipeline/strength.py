@@ -9,7 +9,7 @@ picture made from the others has to predict them.
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,8 +31,9 @@ from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
 from scsr_opt.pipeline.clip import Clip
-from scsr_opt.pipeline.folds import MOVED, STRETCH, held_out, light_at_rest
+from scsr_opt.pipeline.folds import held_out, light_at_rest
 from scsr_opt.pipeline.measurement import Measurements, measure
+from scsr_opt.pipeline.settings import SamplingSettings, StrengthSettings
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
@@ -42,39 +43,14 @@ from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.quasi_newton import Smooth
 from scsr_opt.solvers.solver import Solver
 
-# λ = _SMOOTHING · √(noise / frames) · 2 / scale · relative_strength. The square root is how far noise moves the
-# gradient of f at a pixel, which total variation has to hold down; the constant and the scale's part were found on
-# stills with known answers, several kinds of motion, two lights and two scales (docs/measurements.md).
-_SMOOTHING = 0.06
 
-# Side of the parts of the picture that λ is validated on, in high-resolution pixels, and how many there are at most.
-_SIDE, _PARTS = 256, 3
-# Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
-# that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
-# by noise alone believed, where it lost more often than not.
-_BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.4)
-# What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
-# (docs/data-term.md).
-_LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.25, 16.0, 256.0
-# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time. Where that
-# predicts best with k times the strength by noise, the learned prior does with a·k^b (both measured): it knows pictures
-# better, and noise moves it less.
-_STAND_IN = (0.65, 0.6)
-# Pixels, about, whose intervals tell the noise: their mean square is known to half a percent.
-_SAMPLED = 5_000
-# Samples that have to be kept, and to be held out, for it to tell anything.
-_FEWEST = 100
-# A validation need not be solved to the end.
-_ITERATIONS, _TOLERANCE = 60, 5e-4
-
-
-def strength_of_noise(noise: float, scale: int, prior: Prior) -> float:
+def strength_of_noise(noise: float, scale: int, prior: Prior, settings: StrengthSettings = StrengthSettings()) -> float:
     """λ from how much neighbouring intervals differ (`noise_of_mean`). **Raises:** as `relative_strength`."""
-    return _SMOOTHING * noise * 2 / scale * relative_strength(prior)
+    return settings.noise_factor * noise * 2 / scale * relative_strength(prior)
 
 
 def relative_strength(prior: Prior) -> float:
-    """That of the prior. **Raises:** `InputError` where there is none."""
+    """`Prior.relative_strength`. **Raises:** `InputError` where the prior has none."""
     found = prior.relative_strength
     if found is None:
         raise InputError(
@@ -84,14 +60,14 @@ def relative_strength(prior: Prior) -> float:
     return found
 
 
-def noise_of_mean(clip: Clip) -> float:
+def noise_of_mean(clip: Clip, settings: StrengthSettings = StrengthSettings()) -> float:
     """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
     a sample of the pixels (`sparse_pixels`), every second row and column or fewer.
 
     Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
     chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
     """
-    apart = max(2, round((clip.spikes[0].size / _SAMPLED) ** 0.5))
+    apart = max(2, round((clip.spikes[0].size / settings.noise_pixels) ** 0.5))
     few = sparse_pixels(clip.spikes, apart)
     bad = None if clip.bad_pixels is None else sparse_pixels(clip.bad_pixels, apart)
     samples = spike_intervals(few, white_rate=clip.white_rate, bad_pixels=bad, ends=0)
@@ -194,8 +170,10 @@ class StrengthSearch:
     - `scale` s; `prior`, `solver`, `sampling`, `gain` and `optics` as for the reconstruction. `FISTA` stands in for
       solvers that use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`.
     - `noise`: standard deviation of a pixel's mean (`noise_of_mean`), intensity; found if None.
-    - `merge`: whether intervals are merged where nothing moves; `reuse_sums`: whether M and c of kept and held-out
-      samples are added up for the solve that follows.
+    - `merged_intervals`: whether intervals are merged where nothing moves; `reused_sums`: whether M and c of kept and
+      held-out samples are added up for the solve that follows (`Shortcuts`).
+    - `sampling_settings`: how parts of the picture are measured; `settings`: which samples are held out, which
+      strengths are tried, and how much stronger than these the prior becomes.
     """
 
     scale: int
@@ -205,8 +183,10 @@ class StrengthSearch:
     gain: Float[np.ndarray, "h w"] | None = None
     optics: LinearOperator | None = None
     noise: float | None = None
-    merge: bool = True
-    reuse_sums: bool = True
+    merged_intervals: bool = True
+    reused_sums: bool = True
+    sampling_settings: SamplingSettings = field(default_factory=SamplingSettings)
+    settings: StrengthSettings = field(default_factory=StrengthSettings)
 
     def find(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
@@ -223,14 +203,15 @@ class StrengthSearch:
 
         **Raises:** as `relative_strength`.
         """
-        noise = noise_of_mean(clip) if self.noise is None else self.noise
-        least = strength_of_noise(noise, self.scale, self.prior)
+        settings = self.settings
+        noise = noise_of_mean(clip, settings) if self.noise is None else self.noise
+        least = strength_of_noise(noise, self.scale, self.prior, settings)
         parts = self._parts(clip, motion, measurements, image)
         if not parts:
             return ValidatedStrength(least)
         # A prior that is used by its gradient need not have a proximal step.
         kind = self.solver if isinstance(self.solver, Smooth) else FISTA()
-        solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
+        solver = dataclasses.replace(kind, iterations=settings.iterations, tolerance=settings.tolerance)
         ridge = isinstance(self.prior, RidgeRegulariser)
         stand_in = HuberTotalVariation() if ridge else self.prior
         share = relative_strength(self.prior) / relative_strength(stand_in)
@@ -252,33 +233,34 @@ class StrengthSearch:
             return errors[factor]
 
         intervals = isinstance(self.sampling, Intervals)
-        best, highest = 1.0, _HIGHEST if intervals else _HIGHEST_OF_OTHERS
+        best, highest = 1.0, settings.most_tried if intervals else settings.most_tried_windows
         if not any(part.begun for part in folds):
             error(2.0)  # from nothing a smoother picture is found sooner, and is a start for others
         while error(best) > error(2 * best) and 2 * best < highest:
             best *= 2
-        while best <= 1 and error(best / 2) < error(best) and best / 2 >= _LOWEST:
+        while best <= 1 and error(best / 2) < error(best) and best / 2 >= settings.least_tried:
             best /= 2
         best *= 2 ** _vertex(error(best / 2), error(best), error(2 * best))
         moved = motion.moved(len(clip.spikes))
-        by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in parts]))
-        beyond, at_least = (
-            of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST)
+        by_pixel = float(np.mean([(moved[area] >= settings.held_out_motion_px).mean() for area, _ in parts]))
+        raised_by, at_least = (
+            of_time ** (1 - by_pixel) * of_pixels**by_pixel
+            for of_time, of_pixels in (settings.raised_by, settings.least_by_noise)
         )
-        times, near, term = max(at_least, beyond * best), None, None
+        times, near, term = max(at_least, raised_by * best), None, None
         if whole:
             term = folds[0].term()
             near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
             near = near if bool(jnp.isfinite(near).all()) else None
         if ridge:
-            times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
+            times = max(at_least, raised_by * settings.ridge_factor * best**settings.ridge_exponent)
         return ValidatedStrength(least * times, near, term)
 
     def _parts(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
     ) -> list[tuple[tuple[slice, slice], "_Part"]]:
         """Parts of the picture with their rows and columns, sensor pixels; none where too few samples are held out."""
-        side = _side_of_parts(clip, self.scale, self.optics)
+        settings, side = self.settings, _side_of_parts(clip, self.scale, self.optics, self.settings)
         good = np.ones(clip.shape, bool) if clip.bad_pixels is None else ~clip.bad_pixels
         moved = motion.moved(len(clip.spikes))
         known, path = (
@@ -290,7 +272,7 @@ class StrengthSearch:
 
         def made(area: tuple[slice, slice]) -> _Part | None:
             # Sums of few pixels are too few to tell.
-            merge = self.merge and int(good[area].sum()) >= _FEWEST
+            merge = self.merged_intervals and int(good[area].sum()) >= settings.least_samples
             pieces, part, first, merged = unmerged, clip.part(*area), image[_scaled(area, self.scale)], False
             gain = None if self.gain is None else self.gain[area]
             if pieces is None or good[area].shape != good.shape:
@@ -299,21 +281,22 @@ class StrengthSearch:
                     if on_sensor and self.sampling.noise is None:
                         return self._part_at_rest(part, path.part(*area), first, gain)
                     frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
-                    merged = bool(frames_each.mean() <= STRETCH / 2)
+                    merged = bool(frames_each.mean() <= settings.held_out_frames / 2)
                 pieces = measure(
                     part,
                     path.part(*area),
                     scale=self.scale,
                     sampling=self.sampling,
                     gain=gain,
-                    merge=merge,
-                    longest=STRETCH if merged else 1,
-                    on_sensor=self.merge,
+                    merged_intervals=merge,
+                    longest=settings.held_out_frames if merged else 1,
+                    on_sensor=self.merged_intervals,
+                    settings=self.sampling_settings,
                 )
-            both = self.reuse_sums and pieces is unmerged
-            return _split(pieces, moved[area], merged, self.optics, first, both=both)
+            both = self.reused_sums and pieces is unmerged
+            return _split(pieces, moved[area], merged, self.optics, first, settings, both=both)
 
-        areas = _chosen(image, self.scale, side, good)
+        areas = _chosen(image, self.scale, side, good, settings.most_parts)
         return [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
 
     def _part_at_rest(
@@ -341,16 +324,16 @@ class StrengthSearch:
             shape = (scale * height, scale * width)
             return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
 
-        kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends))
-        if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
+        kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends, settings=self.settings))
+        if min(np.count_nonzero(some.weight) for some in (kept, held)) < self.settings.least_samples:
             return None
         return _Part(kept, held, first, self.optics)
 
 
 def _chosen(
-    image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
+    image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"], most: int
 ) -> list[tuple[slice, slice]]:
-    """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `_PARTS` at most. All
+    """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `most` at most. All
     parts that overlap by up to half are sorted by their mean contrast in `image` into as many groups; of each, the one
     nearest to the group's mean is taken, of equals that nearest to the middle. Only `good` pixels count, and parts with
     less than half their share of them are left out."""
@@ -365,7 +348,7 @@ def _chosen(
     parts = [part for part in parts if good[part].mean() >= enough] or parts
     rich = np.array([contrast[part].sum() / max(good[part].sum(), 1) for part in parts])
     fitting = max(1, good.size // (min(side, height) * min(side, width)))
-    groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), _PARTS))
+    groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), most))
     return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
 
 
@@ -389,14 +372,16 @@ def _split(
     merged: bool,
     optics: LinearOperator | None,
     first: Float[Array, "H W"],
+    settings: StrengthSettings,
     *,
     both: bool,
 ) -> _Part | None:
     """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `both`: as
     of `_Part`."""
-    held, weight = held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
+    held = held_out(taken.padded, moved, merged=merged, settings=settings)
+    weight = np.asarray(taken.placed.weight)
     counted = np.flatnonzero(held & (weight > 0))
-    if min(counted.size, np.count_nonzero(weight) - counted.size) < _FEWEST:
+    if min(counted.size, np.count_nonzero(weight) - counted.size) < settings.least_samples:
         return None
     # Of few lengths, for compiled code to be met again.
     filling = (0, padded_length(counted.size) - counted.size)
@@ -406,20 +391,28 @@ def _split(
     return _Part(kept, chosen, first, optics, both=both)
 
 
-def longest_merged(clip: Clip, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
+def longest_merged(
+    clip: Clip,
+    motion: Motion,
+    scale: int,
+    optics: LinearOperator | None = None,
+    settings: StrengthSettings = StrengthSettings(),
+) -> int | None:
     """Frames over which intervals may be merged so that the same samples serve the picture and the validation: 1 where
     something moves and the whole picture is one part, as what is held out has to be in pieces; None for any."""
-    return 1 if motion.speed.any() and not in_parts(clip, scale, optics) else None
+    return 1 if motion.speed.any() and not in_parts(clip, scale, optics, settings) else None
 
 
-def in_parts(clip: Clip, scale: int, optics: LinearOperator | None = None) -> bool:
+def in_parts(
+    clip: Clip, scale: int, optics: LinearOperator | None = None, settings: StrengthSettings = StrengthSettings()
+) -> bool:
     """Whether strengths are tried on parts of the picture, or on the whole."""
-    return max(clip.spikes.shape[1:]) > _side_of_parts(clip, scale, optics)
+    return max(clip.spikes.shape[1:]) > _side_of_parts(clip, scale, optics, settings)
 
 
-def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None) -> int:
+def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None, settings: StrengthSettings) -> int:
     """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
-    return max(_SIDE // scale, 1) if optics is None else max(clip.spikes.shape[1:])
+    return max(settings.part_px // scale, 1) if optics is None else max(clip.spikes.shape[1:])
 
 
 @eqx.filter_jit

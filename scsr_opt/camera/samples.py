@@ -36,11 +36,11 @@ ENDS = 0.1
 RUN = 4
 """Intervals of one frame that follow one another are merged up to so many frames."""
 
-# From so many samples on, working through what only pads them costs more than compiling for another length.
-_MANY = 1 << 20
+# Number of samples from which on working through what only pads them costs more than compiling for another length.
+_FINELY_PADDED_FROM = 1 << 20
 
-# Pixels whose intervals are found at once: what that takes stays in the cache, and several are worked on side by side.
-_BAND = 2048
+# Pixels whose intervals are found at once: what that takes stays in the cache.
+_BAND_PIXELS = 2048
 
 
 class Samples(eqx.Module):
@@ -89,7 +89,7 @@ class Samples(eqx.Module):
 def padded_length(n: int) -> int:
     """The length that n samples are padded to: 2^e or 3·2^e, at least 1024, so that up to half as many are added; from
     a million on also 5·2^e or 7·2^e."""
-    step = 1 << max(0, n.bit_length() - (2 if n < _MANY else 3))
+    step = 1 << max(0, n.bit_length() - (2 if n < _FINELY_PADDED_FROM else 3))
     return max(n + -n % step, 1024)
 
 
@@ -149,7 +149,7 @@ def spike_intervals(
             weight=duration * np.float32(factor),
         )
 
-    bands = np.array_split(others, max(1, others.size // _BAND))
+    bands = np.array_split(others, max(1, others.size // _BAND_PIXELS))
     parts = in_threads(lambda pixels: made(_between(fired, pixels, merged, runs)), bands)
     if ends > 0 or still.any():
         times = SpikeTimes.of(fired)

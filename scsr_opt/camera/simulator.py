@@ -9,7 +9,7 @@ frames.
 import math
 import operator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -19,12 +19,6 @@ from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.scenes import Scene
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress, check_progress
-
-DARK_ELECTRONS = 1000.0
-"""Thermal electrons that make as much charge as white does in one frame, where `photons` does not say (no shot
-noise)."""
-# The numbers of photons and electrons that are drawn are 64-bit ones.
-_FEWEST_PHOTONS, _MOST_PHOTONS, _DARKEST = 1e-6, 1e12, 1e6
 
 
 def _real(value: Any) -> float:
@@ -60,6 +54,12 @@ class Sensor:
     **Raises:** `InputError` if one is out of range.
     """
 
+    # Thermal electrons that make as much charge as white does in one frame, where `photons` does not say.
+    DARK_ELECTRONS: ClassVar[float] = 1000.0
+    # Limits below which the numbers of photons and electrons that are drawn fit into 64 bits.
+    PHOTONS: ClassVar[tuple[float, float]] = (1e-6, 1e12)
+    MOST_DARK_RATE: ClassVar[float] = 1e6
+
     white_rate: float | int = WHITE_RATE
     photons: float | int = math.inf
     dark_rate: float | int = 0.0
@@ -70,17 +70,18 @@ class Sensor:
 
     def __post_init__(self):
         checked_white_rate(self.white_rate)
+        fewest, most = self.PHOTONS
         _check(
             "photons",
             self.photons,
-            _FEWEST_PHOTONS <= _real(self.photons) <= _MOST_PHOTONS or _real(self.photons) == math.inf,
-            f"from {_FEWEST_PHOTONS:g} to {_MOST_PHOTONS:g}, in photons per frame of white, or infinite",
+            fewest <= _real(self.photons) <= most or _real(self.photons) == math.inf,
+            f"from {fewest:g} to {most:g}, in photons per frame of white, or infinite",
         )
         _check(
             "dark_rate",
             self.dark_rate,
-            0 <= _real(self.dark_rate) <= _DARKEST,
-            f"from 0 to {_DARKEST:g}, as an intensity (1 = white)",
+            0 <= _real(self.dark_rate) <= self.MOST_DARK_RATE,
+            f"from 0 to {self.MOST_DARK_RATE:g}, as an intensity (1 = white)",
         )
         _check(
             "fixed_pattern",
@@ -255,7 +256,7 @@ def _gathered(light: Float[np.ndarray, "h w"], sensor: Sensor, rng: np.random.Ge
     if math.isfinite(sensor.photons):
         return rng.poisson(sensor.photons * (light + sensor.dark_rate)) / sensor.photons  # sums of Poissons are Poisson
     if sensor.dark_rate > 0:
-        return light + rng.poisson(DARK_ELECTRONS * sensor.dark_rate, light.shape) / DARK_ELECTRONS
+        return light + rng.poisson(sensor.DARK_ELECTRONS * sensor.dark_rate, light.shape) / sensor.DARK_ELECTRONS
     return light
 
 

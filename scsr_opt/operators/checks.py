@@ -15,8 +15,6 @@ from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.operators.operator import LinearOperator
 
-_FAILURE = 1e-3
-
 
 class DotTest(NamedTuple):
     """What `dot_test` found.
@@ -158,7 +156,8 @@ def _power_iteration(operator, start: Array, iterations: Int[Array, ""], rtol: F
     first, _ = unit(start)
     begin = (first, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32))
     _, value, change, done = jax.lax.while_loop(go_on, step, begin)
-    margin = max(1.0, 0.824 * math.sqrt(start.size) / _FAILURE)
+    failure = 1e-3  # chance that the bound does not hold
+    margin = max(1.0, 0.824 * math.sqrt(start.size) / failure)
     upper = value * jnp.exp(math.log(margin) / (2 * done.astype(dtype) - 1))
     return SpectralNorm(value, upper, change, done)
 

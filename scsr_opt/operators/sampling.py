@@ -36,9 +36,11 @@ from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.operator import LinearOperator
 
-# Samples are visited so many at a time, if their number allows, but not fewer than so many; twice as many where there
-# are a million or more, as two threads share each step (docs/measurements.md, "What a picture of a sequence takes").
-_PIECE, _LEAST_PIECE, _MILLION = 8192, 256, 2**20
+# Samples that are visited at a time, if their number allows, and the fewest.
+_PIECE_SAMPLES = 8192
+_LEAST_PIECE_SAMPLES = 256
+# From this number of samples on, pieces are twice as large: two threads share each step.
+_LARGE_PIECES_FROM = 2**20
 
 # Where the positions of an exposure lie, in exposures from its middle: two and three at the nodes of equal weight that
 # integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"), five, which exposures of any
@@ -278,10 +280,10 @@ def moments(
 
 
 def _pieces(samples: int) -> tuple[Int[Array, " pieces"], int]:
-    """The numbers that pieces of n samples begin at, and their size: the largest power of two up to `_PIECE`, or twice
-    that, that divides n; all in one piece if that is small."""
-    most = math.gcd(samples, _PIECE if samples < _MILLION else 2 * _PIECE)
-    size = most if most >= _LEAST_PIECE else max(samples, 1)
+    """Indices that pieces of n samples begin at, and their size: the largest power of two up to `_PIECE_SAMPLES` (or
+    twice that) that divides n; all in one piece if that is small."""
+    most = math.gcd(samples, _PIECE_SAMPLES if samples < _LARGE_PIECES_FROM else 2 * _PIECE_SAMPLES)
+    size = most if most >= _LEAST_PIECE_SAMPLES else max(samples, 1)
     return jnp.arange(0, samples, size, dtype=jnp.int32), size
 
 

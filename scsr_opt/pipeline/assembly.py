@@ -182,7 +182,13 @@ def assemble_task(task: Task) -> Assembly:
         assembly = assembly.with_validated_strength()
     if options.solver is None:
         apart = measured.placed.on_sensor and assembly.method.optics is None
-        solver = default_solver(prior, strength=assembly.strength, scale=task.scale, apart=apart)
+        solver = default_solver(
+            prior,
+            strength=assembly.strength,
+            scale=task.scale,
+            apart=apart,
+            steepest=settings.data_proximal_steepness,
+        )
         assembly = replace(assembly, method=replace(assembly.method, solver=solver))
     lap("strength")
     return assembly.with_sums()

@@ -16,10 +16,6 @@ from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.prior import Prior, State
 from scsr_opt.priors.strengths import divisible
 
-# Dual steps of a cycle, at most, and the smallest eigenvalue that their lengths are made for, as a share of the
-# largest. At 0.1 long steps and the projections that follow them kept each other going (docs/measurements.md).
-_CYCLE, _SMALLEST = 5, 0.2
-
 # A loop over cycles writes its carry to memory once more each time round: unrolled as a whole where that is short.
 _UNROLL = 2
 
@@ -207,12 +203,17 @@ def leaf_by_leaf(step: Callable[..., State], *given: Any) -> State:
     return jax.tree.unflatten(tree, leaves)
 
 
-def dual_cycles(iterations: int) -> tuple[int, list[float]]:
-    """How many cycles make at least so many dual steps, and the lengths of their steps, in units of 1/(λ²‖K‖²)."""
-    cycles = -(-iterations // _CYCLE)
+def dual_cycles(iterations: int, *, most: int = 5, smallest: float = 0.2) -> tuple[int, list[float]]:
+    """The number of cycles that make at least `iterations` dual steps, and the lengths of the steps of a cycle, in
+    units of 1/(λ²‖K‖²).
+
+    **Arguments:** `most`: steps of a cycle; `smallest`: the smallest eigenvalue that they are made for, as a share of
+    the largest. At 0.1 long steps and the projections that follow them kept each other going.
+    """
+    cycles = -(-iterations // most)
     number = -(-iterations // cycles)
     angles = [math.pi * (2 * k + 1) / (2 * number) for k in range(number)]
-    rising = [2 / (1 + _SMALLEST + (1 - _SMALLEST) * math.cos(angle)) for angle in angles]
+    rising = [2 / (1 + smallest + (1 - smallest) * math.cos(angle)) for angle in angles]
     return cycles, [rising[k // 2] if k % 2 == 0 else rising[-1 - k // 2] for k in range(number)]
 
 

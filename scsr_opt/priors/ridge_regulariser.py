@@ -25,17 +25,13 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 
 WEIGHTS = Path(__file__).parent / "weights"
-FRESH_ACCURACY = 1e-6
-"""Accuracy of a proximal step that starts anew (`with_inner_iterations`): distance left to the optimum, relative."""
 """Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that says what it was trained on."""
 # Frequencies a side on which the norm of the bank is looked for.
 _GRID = 128
 # float32 keeps seven digits, and a file's filters were symmetric before they were rounded.
 _ROUNDING = 1e-5
-# What is seen by all filters together of a band of the picture, values: 1 MB in float32, so that it stays in the cache.
+# Values that all filters together give for a band of the picture: 1 MB in float32, so that it stays in the cache.
 _BAND = 250_000
-# Steps of a proximal step: at most, and where no number is enough for certain.
-_MOST, _PLAIN = 100, 3
 # What reading raises where a file is cut, changed or of another kind.
 _DAMAGE = (KeyError, ValueError, EOFError, OSError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
 
@@ -90,6 +86,11 @@ class RidgeRegulariser(Prior[RidgeState]):
     """
 
     smooth: ClassVar[bool] = True
+    # Steps of a proximal step, at most, and where no number of them is enough for certain.
+    MOST_STEPS: ClassVar[int] = 100
+    UNCERTAIN_STEPS: ClassVar[int] = 3
+    # `accuracy` of a proximal step that starts anew (`with_inner_iterations`).
+    FRESH_ACCURACY: ClassVar[float] = 1e-6
 
     filters: Float[Array, "C k k"]
     knots: Float[Array, "C K"]
@@ -153,7 +154,7 @@ class RidgeRegulariser(Prior[RidgeState]):
 
     def with_inner_iterations(self, iterations: int) -> "RidgeRegulariser":
         """This prior with an accurate proximal step, whose number of iterations follows from its accuracy."""
-        return eqx.tree_at(lambda ridge: ridge.accuracy, self, jnp.full_like(self.accuracy, FRESH_ACCURACY))
+        return eqx.tree_at(lambda ridge: ridge.accuracy, self, jnp.full_like(self.accuracy, self.FRESH_ACCURACY))
 
     def initial_state(self, image: Float[Array, "H W"]) -> RidgeState:
         """The picture: where the first proximal step begins."""
@@ -173,7 +174,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         steepest, flattest = 1 + λ * self.curvature, 1 - λ * self.concavity
         rate = jnp.sqrt(jnp.maximum(flattest, 0) / steepest)
         enough = jnp.ceil(jnp.log(self.accuracy.astype(image.dtype) / 2) / jnp.log1p(-rate))
-        steps = jnp.where(flattest > 0, jnp.clip(enough, 1, _MOST), _PLAIN).astype(jnp.int32)
+        steps = jnp.where(flattest > 0, jnp.clip(enough, 1, self.MOST_STEPS), self.UNCERTAIN_STEPS).astype(jnp.int32)
         momentum = jnp.where(flattest > 0, (1 - rate) / (1 + rate), 0)
 
         def moved(ahead: Array, gradient: Array) -> Array:

@@ -1,5 +1,7 @@
 """Forward–backward splitting with the roles of Eq. 5 exchanged, for scenes in which nothing moves."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,9 +13,6 @@ from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import ProximalGradient, ProximalGradientState, momentum
 from scsr_opt.solvers.solver import Record
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
-
-# λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
-_FLATTEST = 1e-3
 
 
 class DataProximal(ProximalGradient):
@@ -38,6 +37,9 @@ class DataProximal(ProximalGradient):
     data that are not `DataTerm.apart`.
     """
 
+    # λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
+    LEAST_STEEPNESS: ClassVar[float] = 1e-3
+
     iterations: int = 200
     tolerance: float | int = 1e-4
     # Always so: there are no dual variables to make a gap of.
@@ -59,7 +61,7 @@ class DataProximal(ProximalGradient):
             )
         assert problem.prior.lipschitz is not None  # `check` saw to it
         steepest = problem.strength * problem.prior.lipschitz
-        step_size = 1 / jnp.maximum(steepest, _FLATTEST * lipschitz_bound(problem.data))
+        step_size = 1 / jnp.maximum(steepest, self.LEAST_STEEPNESS * lipschitz_bound(problem.data))
         return self._first(problem, image, gradient=image, step_size=step_size)  # that of f is not looked at
 
     @compiled

@@ -29,12 +29,6 @@ from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
-# How much F may rise and still count as lower, in ε|F|: it is a sum of many numbers, and differs so much by rounding.
-_SLACK = 5
-# How much longer a step of nonlinear conjugate gradients is tried after one that was accepted (of 1.5, 2 and 3 the
-# first needed the fewest iterations).
-_GROWTH = 1.5
-
 
 class SmoothState(NamedTuple):
     """Changes every iteration: `image`, `slope` ∇F there, and `inner`, the arrays of optimistix's own state. Fixed when
@@ -66,17 +60,18 @@ class _Objective(eqx.Module):
 
 
 class _Search(optx.BacktrackingArmijo):
-    """Armijo's rule, but for rounding (`_SLACK`): where F no longer tells two pictures apart, a method goes on by its
-    gradient, which knows more digits.
+    """Armijo's rule, but for rounding: where F no longer tells two pictures apart, a method goes on by its gradient,
+    which knows more digits.
 
     **Fields:** `growth`: where a step is tried first, in lengths of the last that was accepted; None for the method's
-    own step.
+    own step. `slack`: by how much F may rise and still count as lower, in ε|F|: it is a sum of many numbers.
     """
 
     growth: float | None = None
+    slack: int = 5
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        slack = _SLACK * jnp.finfo(y.dtype).eps * jnp.abs(f_info.as_min())
+        slack = self.slack * jnp.finfo(y.dtype).eps * jnp.abs(f_info.as_min())
         lower = eqx.tree_at(lambda info: info.f, f_eval_info, f_eval_info.as_min() - slack)
         length, accept, result, following = super().step(first_step, y, y_eval, f_info, lower, state)
         if self.growth is not None:
@@ -194,7 +189,8 @@ class NonlinearCG(Smooth):
     tolerance: float | int = 3e-4
 
     def _method(self) -> Any:
-        return optx.NonlinearCG(rtol=0.0, atol=0.0, search=_Search(growth=_GROWTH))
+        # Of 1.5, 2 and 3 the first needed the fewest iterations.
+        return optx.NonlinearCG(rtol=0.0, atol=0.0, search=_Search(growth=1.5))
 
 
 class LBFGS(Smooth):

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
-from scsr_opt.camera.simulator import DARK_ELECTRONS, Sensor, simulate
+from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.camera.video import Video
 from scsr_opt.errors import InputError
 
@@ -68,7 +68,7 @@ def test_dark_charge_has_its_mean_and_its_noise(photons, rate):
     frames, dark = 1500, 0.3
     sensor = Sensor(dark_rate=dark, photons=photons, white_rate=rate)
     counts = simulate(constant(0.0), scale=1, frames=frames, sensor=sensor).spikes.sum(0)
-    variance = rate**2 * frames * dark / min(photons, DARK_ELECTRONS) + 1 / 6
+    variance = rate**2 * frames * dark / min(photons, Sensor.DARK_ELECTRONS) + 1 / 6
     assert counts.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / counts.size))
     assert counts.mean() == pytest.approx(rate * frames * dark, abs=5 * np.sqrt(variance / counts.size))
     assert not simulate(constant(0.0), scale=1, frames=200).spikes.any()

@@ -2,7 +2,7 @@
 
 import ast
 import inspect
-from dataclasses import FrozenInstanceError, dataclass, field, fields, is_dataclass, replace
+from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -65,7 +65,8 @@ def test_settings_wrong_value_is_refused(change, message):
 
 @pytest.mark.usefixtures("types_unchecked")
 def test_settings_values_become_the_types_of_their_defaults():
-    found: Any = Example(share=1, frames=np.int64(4), widths=(np.float32(3), 4))
+    given: dict[str, Any] = {"share": 1, "frames": np.int64(4), "widths": (np.float32(3), 4)}
+    found: Any = Example(**given)
     assert found == Example(share=1.0, frames=4, widths=(3.0, 4.0)) and hash(found) == hash(replace(found))
     assert [type(v) for v in (found.share, found.frames, *found.widths)] == [float, int, float, float]
     with pytest.raises(FrozenInstanceError):
@@ -80,7 +81,7 @@ def of_all(settings: type[Settings]) -> list[type[Settings]]:
 
 @pytest.mark.parametrize("settings", of_all(PipelineSettings), ids=lambda s: s.__name__)
 def test_settings_every_field_says_what_it_decides(settings):
-    assert is_dataclass(settings) and hash(settings()) == hash(settings())
+    assert hash(settings()) == hash(settings())
     (body,) = ast.parse(inspect.getsource(settings)).body
     assert isinstance(body, ast.ClassDef)
     for before, after in zip(body.body, [*body.body[1:], None], strict=True):
@@ -112,7 +113,7 @@ def test_reconstruct_settings_reach_their_stages(spikes, quick_compilation):
     )
     found = reconstruct(spikes, scale=2, settings=settings)
     assert found.scene is not None and found.scene.kind.shape == (3, 3)
-    assert usual.diagnostics.positions > 1 and found.diagnostics.positions == 1
+    assert (usual.diagnostics.positions or 0) > 1 and found.diagnostics.positions == 1
     assert usual.diagnostics.gain_spread is not None and found.diagnostics.gain_spread is None
     # Huber-TV, which the learned prior is no longer, is solved by tiles.
     assert usual.tiles is None and found.tiles is not None and found.tiles.tile_side == 16
@@ -122,4 +123,4 @@ def test_reconstruct_strength_is_raised_by_its_settings(spikes, quick_compilatio
     usual = reconstruct(spikes, scale=2, gain=None)
     twice = PipelineSettings(strength=StrengthSettings(raised_by=(2.8, 3.4), least_by_noise=(1.4, 0.8)))
     found = reconstruct(spikes, scale=2, gain=None, settings=twice)
-    assert found.diagnostics.strength == pytest.approx(2 * usual.diagnostics.strength, rel=1e-6)
+    assert found.diagnostics.strength == pytest.approx(2 * (usual.diagnostics.strength or 0), rel=1e-6)

@@ -4,7 +4,7 @@ import abc
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic
+from typing import ClassVar, Generic
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.leafwise import leaf_by_leaf
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.prior import Prior, State
 from scsr_opt.priors.strengths import divisible
@@ -186,21 +187,6 @@ class Analysis(Prior[State], Generic[State]):
 
 def _unbounded(image: Float[Array, "H W"]) -> Float[Array, "H W"]:
     return image
-
-
-def leaf_by_leaf(step: Callable[..., State], *given: Any) -> State:
-    """step(*given), each leaf of it calculated on its own.
-
-    Written once, what leaves share (a length that both components of a vector are divided by) is calculated by a kernel
-    of its own and written to memory, and so is whatever leads to it: XLA for CPUs fuses a root or a division with one
-    user only, and makes no kernel with two results. Calculated twice it costs arithmetic, of which there is plenty: a
-    dual step of Huber-TV passes over 12 pictures instead of 19, in 0.6 to 0.8 of the time (docs/measurements.md).
-    """
-    leaves, tree = jax.tree.flatten(step(*given))
-    for k in range(1, len(leaves)):
-        # Seen through the barrier it is another calculation, which XLA does not make one with the first.
-        leaves[k] = jax.tree.leaves(step(*jax.lax.optimization_barrier(given)))[k]
-    return jax.tree.unflatten(tree, leaves)
 
 
 def dual_cycles(iterations: int, *, most: int = 5, smallest: float = 0.2) -> tuple[int, list[float]]:

@@ -1,4 +1,4 @@
-"""What `reconstruct` is handed, checked in one place and in one wording."""
+"""Checks of arguments, in one place and in one wording."""
 
 import math
 import operator

@@ -34,7 +34,7 @@ def conventional_camera(
         round(255 · clip(mean light during the exposure + noise, 0, 1)) / 255, enlarged by bicubic interpolation
 
     All light between opening and closing of the shutter makes one picture: what moves meanwhile is blurred. The paper
-    compares with a camera at 120 frames per second in auto-exposure mode; the exposure it chose is not said. Intensity
+    compares with a camera at 120 frames per second in auto-exposure mode; the exposure it chose is not given. Intensity
     1 is taken as full scale, without gamma. The light is read off the exact times of the spikes, so the recording's
     own quantisation adds about one of the 255 steps to an exposure of 100 frames, less to longer ones.
 
@@ -48,7 +48,7 @@ def conventional_camera(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
-    **Raises:** `InputError` if something handed in cannot be used, or the exposure reaches past the recording's end.
+    **Raises:** `InputError` if an argument cannot be used, or the exposure reaches past the recording's end.
     """
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     noise = number(read_noise, "read_noise", lambda v: v >= 0, "of at least 0, in steps of 1/255")

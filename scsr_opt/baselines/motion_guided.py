@@ -54,7 +54,7 @@ def shift_and_add(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` if an argument cannot be used.
     """
     clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=USUAL_FRAMES)
     shape = (scale * clip.shape[0], scale * clip.shape[1])
@@ -123,7 +123,7 @@ def mgsr(
     with n_k the interval's length in frames, divided by those of the recording.
 
     *What was read and what was assumed.* Read were the abstract and the first lines of the paper, the opening of a
-    reader's notes on it, and what later papers of the group say of it. Not read was its method section, and no public
+    reader's notes on it, and what later papers of the group write of it. Not read was its method section, and no public
     code of it was found. Stated there: HR intensity is recovered from LR spikes; the relative motion of camera and
     objects tells which points of the scene a pixel's spikes speak of; from it follows a relation between the light
     intensity and each spike, and the picture from these relations; "complex optimization and rigorous assumptions
@@ -143,7 +143,7 @@ def mgsr(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` if an argument cannot be used.
     """
     clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=USUAL_FRAMES)
     shape = (scale * clip.shape[0], scale * clip.shape[1])

@@ -31,7 +31,7 @@ def tfp_bicubic(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white; not cut at 0 or 1.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` if an argument cannot be used.
     """
     clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
     return bicubic(tfp_picture(clip), scale)

@@ -7,7 +7,7 @@ from scsr_opt._settings import Settings
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineSettings(Settings):
-    """What the sources of the baselines leave open; strengths were found on stills of scikit-image
+    """Numbers that the sources of the baselines leave open; strengths were found on stills of scikit-image
     (docs/baselines.md)."""
 
     searched_frames: int = 1001

@@ -4,11 +4,11 @@ A sample of pixel p measures Y = g(p)·I. Where g is known, Y / g is what counts
 
 - from a recording of an evenly lit surface (`flat_gain`), once for a camera;
 - from any recording in which the scene moves (`blind_gain`): a point of the scene is then seen by many pixels and a
-  pixel sees many points, so that what all others together say of a place tells what this pixel should have measured.
+  pixel sees many points, so that all others together predict what this pixel should have measured.
   A gain that varies slowly along the motion (over further than the scene moved) cannot be told from the picture.
 
 Where nothing moves, each pixel sees one point only and gain and picture are one: nothing but an assumption on pictures
-tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.camera.gain_at_rest` makes the assumption.
+tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.calibration.gain_at_rest` makes the assumption.
 """
 
 import equinox as eqx
@@ -52,12 +52,12 @@ def gain_is_known(moved: Float[np.ndarray, "h w"], settings: GainSettings = Gain
 def share_of_unknown_gain(
     samples: Samples, gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], noise: float | int
 ) -> Float[np.ndarray, "h w"]:
-    """How much of its weight a pixel keeps whose gain is not known, where others' gains spread; 1 where it is known.
+    """Share of its weight that a pixel keeps whose gain is not known, where others' gains spread; 1 where it is known.
 
     An unknown gain makes an error that all samples of the pixel share: it adds (spread · intensity)² to the variance of
     their mean, and the weight is the inverse of that variance. Gains spread there as they do where they are known; what
-    was taken for gain at rest (`scsr_opt.camera.gain_at_rest`) is a mean of what they may be, and their variance about
-    it is less by its own.
+    was taken for gain at rest (`scsr_opt.calibration.gain_at_rest`) is a mean of what they may be, and their variance
+    about it is less by its own.
 
     **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `gain` where it is `known`, and what was
     taken for it elsewhere; `noise`, the standard deviation of a pixel's mean without that, intensity.
@@ -95,7 +95,7 @@ def flat_gain(
     known_bad = checked_settings(spikes.shape, READOUT_RATE, WHITE_RATE, bad_pixels)["bad_pixels"]
     rate = mean_light(SpikeTimes.of(spikes), 0, len(spikes), white_rate=WHITE_RATE)
     bad = np.zeros(shape, bool) if known_bad is None else known_bad
-    # Bad pixels say nothing about the light: they take the median of the good ones, which leaves their neighbours' be.
+    # Bad pixels take the median of the good ones, so that they do not change the median around their neighbours.
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)
     around = median_filter(filled, size=even_over, mode="nearest")
     usable = ~bad & (around > 0)
@@ -124,8 +124,8 @@ def blind_gain(
     as the picture is far more wrong at some pixels than at most. What is kept of a deviation is gain² / (gain² +
     error²), the error being that of most pixels or (a − b) / 2, the larger. Where the halves do not agree, nothing is.
 
-    Use it in turns: picture from `with_gain(samples, gain)`, then gain from that picture; one turn gets most, two all.
-    Always hand in the samples as measured.
+    Use it in turns: picture from `with_gain(samples, gain)`, then gain from that picture; one turn finds most, two all.
+    The samples are always those as measured.
 
     **Arguments:**
     - `samples`: as measured, not corrected.
@@ -176,5 +176,5 @@ def blind_gain(
 
 
 def _robust_variance(values: Float[np.ndarray, " n"]) -> float:
-    """That of a normal distribution with the same median of absolute deviations."""
+    """Variance of a normal distribution with this median of absolute deviations."""
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) ** 2

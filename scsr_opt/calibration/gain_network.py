@@ -1,10 +1,10 @@
-"""Gains of pixels that saw one point of the scene only: what a network that knows pictures takes for fixed pattern.
+"""Gains of pixels that saw one point of the scene only, by a network that tells fixed pattern from picture.
 
 Where nothing moves, gain and picture are one (`scsr_opt.calibration.gain`), and only an assumption on pictures tells
-them apart: edges and textures go on from pixel to pixel, gains do not. A prior makes it in the solve, on the
-high-resolution picture; here a small network makes it at sensor resolution, where the gains are, and says how much of
-each pixel's light it takes for gain. It was trained (`learned.training.gain`) to miss ln g by little in the mean of
-squares, over recordings with and without a fixed pattern: where a texture could be a pattern it says little.
+them apart: edges and textures extend over pixels, gains do not. A prior makes it in the solve, on the
+high-resolution picture; here a small network makes it at sensor resolution, where the gains are, and estimates how much
+of each pixel's light is gain. It was trained (`learned.training.gain`) to miss ln g by little in the mean of
+squares, over recordings with and without a fixed pattern: where a texture could be a pattern its estimate is small.
 """
 
 import functools
@@ -28,7 +28,7 @@ from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.spike_times import SpikeTimes
 
 WEIGHTS = Path(__file__).parent / "weights" / "gain_network.npz"
-"""The trained network, with a card beside it that says what it was trained on."""
+"""The trained network; a card beside it lists what it was trained on."""
 
 
 class GainNetwork(eqx.Module):
@@ -70,7 +70,7 @@ class GainNetwork(eqx.Module):
         return last(x)[0]
 
     def save(self, path: Path) -> None:
-        """As an .npz file."""
+        """Writes the network to an .npz file."""
         arrays: dict[str, Any] = {}
         for n, layer in enumerate(self.layers):
             arrays[f"weight{n}"], arrays[f"bias{n}"] = np.asarray(layer.weight), np.asarray(layer.bias)
@@ -130,7 +130,7 @@ def gain_at_rest(
     sampled_gains: bool = True,
     settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
-    """Gains of a camera before a still scene, as far as they can be told from the picture.
+    """Gains of the pixels of a camera before a still scene, as far as they can be told from the picture.
 
     Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
     where they are plain. All gains are 1 unless they seem to spread by 1 % or more in nine tenths of the squares of 8×8
@@ -174,7 +174,7 @@ def _is_plain(
     bad: Bool[np.ndarray, "h w"],
     settings: GainSettings,
 ) -> bool:
-    """Whether windows of a sensor that is much larger than they are show that there is no pattern."""
+    """True where windows of a sensor that is much larger than they are show that there is no pattern."""
     reach = len(network.layers)  # a convolution of 3×3 each: so far from its border a window is as the whole sensor
     side = settings.window_squares * settings.square_px + 2 * reach
     if 2 * math.prod(settings.windows) * side**2 > bad.size or min(bad.shape) < side:

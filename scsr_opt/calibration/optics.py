@@ -1,6 +1,6 @@
 """The lens from the recording: how wide a Gaussian explains pixels that were not used.
 
-Blur and picture are told apart by prediction. Some sensor pixels are held out, the picture is solved for from the
+Blur and picture are separated by prediction. Some sensor pixels are held out, the picture is solved for from the
 others with the blur H(σ), and its value at the held-out pixels is compared with what they measured (cross-validation;
 Reeves & Mersereau, 1992, chose blurs like that). A σ that is too large cannot reproduce edges, and its error rises
 steeply; one that is too small leaves the blur to the picture, which only makes the picture a little harder to
@@ -25,7 +25,7 @@ from scsr_opt.operators.sampling import PlacedSamples, accumulate
 
 
 class GaussianOptics(NamedTuple):
-    """What `estimate_gaussian_optics` found.
+    """Result of `estimate_gaussian_optics`.
 
     **Fields:**
     - `sigma`: standard deviation of the lens's blur, SENSOR pixels; times the scale for `Blur.gaussian`.

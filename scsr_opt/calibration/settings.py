@@ -7,7 +7,7 @@ from scsr_opt._settings import Settings
 
 @dataclass(frozen=True, kw_only=True)
 class GainSettings(Settings):
-    """Where gains are found, and when a recording is taken to have a fixed pattern (`scsr_opt.calibration.gain`,
+    """Search for gains of the pixels, and for a fixed pattern (`scsr_opt.calibration.gain`,
     `scsr_opt.calibration.gain_network`)."""
 
     least_motion_px: float = 1.0
@@ -58,7 +58,7 @@ class GainSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class OpticsSettings(Settings):
-    """How a Gaussian lens is found (`estimate_gaussian_optics`)."""
+    """Search for a Gaussian lens (`estimate_gaussian_optics`)."""
 
     sigmas_px: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
     """Standard deviations that are tried, sensor pixels; one solve each."""

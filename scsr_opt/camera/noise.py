@@ -1,4 +1,4 @@
-"""How far samples are off: quantisation, shot noise, fixed pattern (derived in docs/data-term.md).
+"""Errors of samples: quantisation, shot noise, fixed pattern (derived in docs/data-term.md).
 
 An interval of light I that lasts n frames and gathers cθ is a sample Y of variance
 
@@ -26,7 +26,7 @@ from scsr_opt.errors import InputError
 
 
 class Noise(eqx.Module):
-    """What makes samples of a camera wrong, beside quantisation.
+    """Sources of error of a camera's samples, beside quantisation.
 
     **Fields:**
     - `photons`: N, photons per frame of a pixel at intensity 1; infinite for no shot noise.

@@ -4,8 +4,8 @@ Three ways to read intensity off the spikes around a key frame. All return inten
 
 - `tfp` counts spikes in a window: steady, blurred by motion.
 - `tfi` measures the one interval that holds the key frame: sharp in time, coarse in intensity (θ over a whole number).
-- `stp` lets a model synapse with short-term plasticity listen to each pixel and reads the rate off its state: between
-  the two.
+- `stp` feeds each pixel's spikes to a model synapse with short-term plasticity and reads the rate off its state:
+  between the two.
 
 TFP and TFI: Zhu, Dong, Huang, Tian, "A retina-inspired sampling method for visual texture reconstruction", ICME 2019.
 """
@@ -23,7 +23,7 @@ from scsr_opt.camera.sources import as_spikes, checked_shape
 from scsr_opt.errors import InputError
 
 WINDOW = 21
-"""Frames that `tfp` averages over, where nothing else is said and the recording has as many."""
+"""Frames that `tfp` averages over by default, where the recording is that long."""
 
 
 def tfp(
@@ -115,14 +115,14 @@ def stp(
     frames) as the authors' public implementation (SpikeCV, class TFSTP) states them; not the full text. That shows the
     sum of the two rates, stretched to the full range, its histogram equalised; here the sum becomes an absolute
     intensity. Assumed here: a synapse starts settled at its pixel's first interval (from rest it would take some spikes
-    to get there); the last interval it hears is the one that holds the key frame, as in `tfi`; a pixel without such an
-    interval has what the synapse says, but no more than the gap without a spike allows, and a synapse that has heard no
-    interval gives way to `tfi`. The second model of the extended version, with a synapse each for moving and resting
+    to get there); the last interval it is given is the one that holds the key frame, as in `tfi`; a pixel without such
+    an interval has the synapse's rate, but no more than the gap without a spike allows, and a synapse that was given no
+    interval is replaced by `tfi`. The second model of the extended version, with a synapse each for moving and resting
     regions, is not here.
 
     **Arguments:**
     - `spikes`, `key`, `white_rate`: as `tfp`.
-    - `history`: frames before the key frame whose spikes are listened to. The synapse forgets with τ_F: more than 20
+    - `history`: frames before the key frame whose spikes are used. The synapse forgets with τ_F: more than 20
       τ_F changes nothing.
     - `base_release`: u₀, in (0, 1).
     - `facilitation`: f, in (0, 1).
@@ -146,17 +146,17 @@ def stp(
     for t in range(max(key - operator.index(history), 0), key):
         fired = np.flatnonzero(recording[t])
         known = fired[last[fired] >= 0]
-        synapse.hear(known, (t - last[known]).astype(np.float64))
+        synapse.receive(known, (t - last[known]).astype(np.float64))
         last[fired] = t
     before, after = (a.ravel() for a in _spikes_around(recording, key))
     closed = np.flatnonzero((before >= 0) & (after < len(recording)))
-    synapse.hear(closed, (after - before)[closed].astype(np.float64))
-    heard = np.flatnonzero(synapse.settled)
+    synapse.receive(closed, (after - before)[closed].astype(np.float64))
+    known = np.flatnonzero(synapse.settled)
     image = tfi(recording, key, white_rate=rate).ravel()
-    told = synapse.rate(heard)
-    unfinished = after[heard] == len(recording)
-    silence = np.maximum(len(recording) - 1 - before[heard], 1)
-    image[heard] = np.where(unfinished, np.minimum(told, 1 / silence), told) / rate
+    rates = synapse.rate(known)
+    unfinished = after[known] == len(recording)
+    silence = np.maximum(len(recording) - 1 - before[known], 1)
+    image[known] = np.where(unfinished, np.minimum(rates, 1 / silence), rates) / rate
     return image.reshape(recording.shape[1:])
 
 
@@ -182,7 +182,7 @@ class _Synapse:
         u = self._u0 + lift
         return u + lack * (1 - u), lift + self._f * (1 - u)
 
-    def hear(self, which: Int[np.ndarray, " n"], interval: Float[np.ndarray, " n"]) -> None:
+    def receive(self, which: Int[np.ndarray, " n"], interval: Float[np.ndarray, " n"]) -> None:
         """A spike at each of the synapses `which`, `interval` frames after the one before it."""
         new = ~self.settled[which]
         first, waited = which[new], interval[new]
@@ -246,7 +246,7 @@ def _longest_known_gap(trains: UInt8[np.ndarray, "T n"], key: int) -> Float[np.n
 
 
 def _first_two(trains: Bool[np.ndarray, "T n"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """When each train fires for the first and for the second time; T where it does not."""
+    """The frames at which each train fires for the first and for the second time; T where it does not."""
     frames = len(trains)
     count = np.cumsum(trains, 0, dtype=np.int32)
     first, second = (np.where(count[-1] >= n, np.argmax(count >= n, 0), frames) for n in (1, 2))

@@ -13,7 +13,7 @@ from scsr_opt.camera.sources import FlatSource
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FileSamplingSettings(Settings):
-    """How much of a flat file is read for statistics."""
+    """Amount of a flat file that is read for statistics."""
 
     places: int = 1 << 14
     """Places of the frame whose bits are taken: evidence enough in the dark, milliseconds of work."""

@@ -1,4 +1,4 @@
-"""How a recording becomes samples: the choice that `reconstruct` offers as `samples`."""
+"""Rules that make samples of a recording: the choice that `reconstruct` offers as `samples`."""
 
 import abc
 from numbers import Integral, Real

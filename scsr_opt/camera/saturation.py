@@ -1,4 +1,4 @@
-"""Pixels that saw more light than they can tell: one spike a frame is the most that is read out."""
+"""Pixels that saw more light than they can measure: at most one spike a frame is read out."""
 
 import numpy as np
 from jaxtyping import Bool, Int, Shaped
@@ -10,7 +10,7 @@ SATURATED = 0.9
 
 
 def spike_counts(spikes: Shaped[np.ndarray, "T h w"]) -> Int[np.ndarray, "h w"]:
-    """How often each pixel fired."""
+    """Number of spikes of each pixel, (h, w)."""
     count = np.zeros(spikes.shape[1:], np.int32)
     for start in range(0, len(spikes), BYTE):
         count += np.add.reduce(as_bytes(spikes[start : start + BYTE]), axis=0, dtype=np.uint8)
@@ -20,12 +20,12 @@ def spike_counts(spikes: Shaped[np.ndarray, "T h w"]) -> Int[np.ndarray, "h w"]:
 def saturated(
     count: Int[np.ndarray, "*shape"], frames: int, bad_pixels: Bool[np.ndarray, "*shape"] | None = None
 ) -> Bool[np.ndarray, "*shape"]:
-    """Where what was seen is known from below only: pixels that fired in 90 % of the frames or more.
+    """True where the light is known from below only: pixels that fired in 90 % of the frames or more.
 
     One spike of the count is the charge that was there before the first frame. Without it a pixel of intensity 1 that
     happens to fire in all of a few frames would be called saturated; in under 10 frames none is.
 
-    **Arguments:** `count`: spikes of each pixel in so many `frames`; `bad_pixels`: true where they mean nothing.
+    **Arguments:** `count`: spikes of each pixel in `frames` frames; `bad_pixels`: true where they are not used.
     """
     many = count - 1 >= SATURATED * frames
     return many if bad_pixels is None else many & ~bad_pixels

@@ -50,7 +50,7 @@ class SteadyMotion:
         return np.stack([gradient[i, 0] * r + gradient[i, 1] * c + self.drift[i] for i in range(2)])
 
     def picture(self, still: Picture, size: tuple[int, int], elapsed: float | int) -> Float[np.ndarray, "H W"]:
-        """What is seen `elapsed` frames after `still` lay where it was given."""
+        """The view `elapsed` frames after `still` lay where it was given."""
         height, width = size
         rows, columns = np.arange(height, dtype=float), np.arange(width, dtype=float)
         if self.gradient is None or not self.gradient.any():
@@ -74,7 +74,7 @@ class Scene(abc.ABC):
     **Attributes:**
     - `size`: (H, W), HR pixels.
     - `key`: the reference time, spike frames: pictures lie where they were given at this time.
-    - `span`: first and last time that it is known at; endless unless a scene says otherwise.
+    - `span`: first and last time that it is known at; endless by default.
     """
 
     size: tuple[int, int]
@@ -185,7 +185,7 @@ class Ellipse:
         _check_extent(self, self.semi_rows, self.semi_columns)
 
     def coverage(self, rows: Float[np.ndarray, "H 1"], columns: Float[np.ndarray, "1 W"]) -> Float[np.ndarray, "H W"]:
-        """How much of each pixel is covered, 0..1, at positions counted from the centre."""
+        """Share of each pixel that is covered, 0 to 1, at positions counted from the centre."""
         y, x = rows / self.semi_rows, columns / self.semi_columns
         radius = np.hypot(y, x)
         # Distance to the edge to first order, exact for a circle; |∇radius| has no value at the centre, where it is not
@@ -205,7 +205,7 @@ class Box:
         _check_extent(self, self.half_rows, self.half_columns)
 
     def coverage(self, rows: Float[np.ndarray, "H 1"], columns: Float[np.ndarray, "1 W"]) -> Float[np.ndarray, "H W"]:
-        """How much of each pixel is covered, 0..1, at positions counted from the centre."""
+        """Share of each pixel that is covered, 0 to 1, at positions counted from the centre."""
         return _covered(rows, self.half_rows) * _covered(columns, self.half_columns)
 
 

@@ -35,7 +35,7 @@ def _check(name: str, value: Any, good: bool, allowed: str) -> None:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What the camera is like. Without arguments an ideal one: nothing but the quantisation into spikes.
+    """Properties of a camera. Without arguments an ideal one: nothing but the quantisation into spikes.
 
     **Fields:**
     - `white_rate`: spikes per frame of a pixel at intensity 1; the threshold is θ = 1 / `white_rate`, in frames of
@@ -54,7 +54,7 @@ class Sensor:
     **Raises:** `InputError` if one is out of range.
     """
 
-    # Thermal electrons that make as much charge as white does in one frame, where `photons` does not say.
+    # Thermal electrons that make as much charge as white does in one frame, where `photons` is infinite.
     DARK_ELECTRONS: ClassVar[float] = 1000.0
     # Limits below which the numbers of photons and electrons that are drawn fit into 64 bits.
     PHOTONS: ClassVar[tuple[float, float]] = (1e-6, 1e12)
@@ -106,7 +106,7 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What `simulate` recorded, with the truth behind it.
+    """A simulated recording, with the truth behind it.
 
     **Fields:**
     - `spikes`: (T, h, w) uint8, 0 and 1.
@@ -188,12 +188,12 @@ def simulate(
     - `sensor`: the camera.
     - `seed`: the same seed gives the same recording; phase, gain, bad pixels and noise are drawn independently of each
       other, so that switching one on leaves the others as they were.
-    - `progress`: told of every frame (see `scsr_opt.report`).
+    - `progress`: receives every frame done (see `scsr_opt.report`).
 
     **Returns:** `Simulation`.
 
     **Raises:** `InputError` if `scale` or `frames` is not a whole number of at least 1, the scene is smaller than one
-    sensor pixel or not known for so long, the sensor's optics blur over more than the scene, or `seed` is negative.
+    sensor pixel or not known for all frames, the sensor's optics blur over more than the scene, or `seed` is negative.
     """
     check_progress(progress)
     scale, frames = _whole(scale, "scale", 1), _whole(frames, "frames", 1)
@@ -252,7 +252,7 @@ def _sensor_image(
 
 
 def _gathered(light: Float[np.ndarray, "h w"], sensor: Sensor, rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """What one frame adds, in frames of white light."""
+    """Charge that one frame adds, in frames of white light."""
     if math.isfinite(sensor.photons):
         return rng.poisson(sensor.photons * (light + sensor.dark_rate)) / sensor.photons  # sums of Poissons are Poisson
     if sensor.dark_rate > 0:

@@ -1,4 +1,4 @@
-"""When the pixels of a recording fired first and last, and how often: what intervals and rates are made from."""
+"""First and last spike of each pixel of a recording, and their number: intervals and rates are made from them."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ BYTE = 255
 
 
 class SpikeTimes(NamedTuple):
-    """Of every pixel: its `first` and its `last` spike among some frames, and the `count` of its spikes there.
+    """The `first` and the `last` spike of every pixel among some frames, and the `count` of its spikes there.
 
     Frames are counted from the start of the recording; where a pixel did not fire, the first is the recording's length
     and the last is −1.
@@ -25,7 +25,7 @@ class SpikeTimes(NamedTuple):
 
     @classmethod
     def of(cls, spikes: Shaped[np.ndarray, "T *pixels"], begin: int = 0, end: int | None = None) -> "SpikeTimes":
-        """Those of frames `begin` to `end` (exclusive) of a recording of 0 and 1, or of all."""
+        """Spike times of frames `begin` to `end` (exclusive) of a recording of 0 and 1, or of all."""
         frames, end = len(spikes), len(spikes) if end is None else end
         kind = np.int16 if frames < 2**15 else np.int32
         # Both from the far end inwards, so that the larger number is the one that counts, and 0 is none. Choosing by
@@ -41,7 +41,7 @@ class SpikeTimes(NamedTuple):
         return cls(np.subtract(kind(frames), since_end, out=since_end), np.subtract(last, 1, out=last), count)
 
     def then(self, following: "SpikeTimes") -> "SpikeTimes":
-        """Those of these frames and of the `following` ones of the same recording."""
+        """Spike times of these frames and of the `following` ones of the recording together."""
         first, last = np.minimum(self.first, following.first), np.maximum(self.last, following.last)
         return SpikeTimes(first, last, self.count + following.count)
 

@@ -1,4 +1,4 @@
-"""What is left of samples that were accumulated (`scsr_opt.operators.sampling`): a quadratic in B X, by M and c."""
+"""The data term of accumulated samples (`scsr_opt.operators.sampling`): a quadratic in B X, by M, c and e."""
 
 from typing import Any
 
@@ -62,8 +62,8 @@ class DataTerm(eqx.Module):
 
     @property
     def apart(self) -> bool:
-        """Whether what one sensor pixel gathered says something of its own block of the picture alone, as where nothing
-        moves and the lens is perfect: M is diagonal then, and `prox` is known."""
+        """True where the light of a sensor pixel depends on its own block of the picture alone, as where nothing moves
+        and the lens is perfect: M is diagonal then, and `prox` is known."""
         return isinstance(self.aperture, Downsample) and self.optics is None
 
     def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:

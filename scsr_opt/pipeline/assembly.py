@@ -1,4 +1,4 @@
-"""All that is found before the first iteration: motion, gains, samples, strength, and the problem that they make."""
+"""Stages before the first iteration: motion, gains, samples, strength, and the problem that they make."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -63,7 +63,7 @@ class Assembly:
 
     @property
     def usable(self) -> bool:
-        """Whether there is any sample to reconstruct from."""
+        """True where there is any sample to reconstruct from."""
         return bool(self.task.clip.spikes.any()) and bool(jnp.any(self.measurements.placed.weight > 0))
 
     @property
@@ -79,7 +79,7 @@ class Assembly:
         return Problem(data, self.method.prior, self.method.strength, start=self.image)
 
     def solve(self, state: Any = None) -> Majorized:
-        """Solves from `image`, or goes on from `state`."""
+        """Solves from `image`, or from the `state` of a similar problem."""
         return self.method(self.measurements.placed, self.image, state, near=self.near, term=self.term)
 
     def with_validated_strength(self) -> "Assembly":

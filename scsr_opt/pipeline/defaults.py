@@ -1,4 +1,4 @@
-"""The prior of those who name none."""
+"""The default prior."""
 
 import functools
 

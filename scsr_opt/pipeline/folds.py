@@ -64,11 +64,11 @@ def _phase(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
 def light_at_rest(
     spikes: Shaped[np.ndarray, "T h w"], *, ends: float | int, settings: StrengthSettings = StrengthSettings()
 ) -> Float[np.ndarray, "2 2 h w"]:
-    """Of a scene at rest, the sums that matter of the samples that are kept, [0], and of those that are held out, [1]:
-    the light that each pixel gathered, in thresholds, [0], and the frames that it took, [1].
+    """Sums over the samples of a scene at rest that are kept, [0], and that are held out, [1]: the light that each
+    pixel gathered, in thresholds, [0], and the frames that it took, [1].
 
-    Those are the samples of `spike_intervals`, split by `held_out`; `ends` as there. They never exist one by one, which
-    takes a third of the time.
+    The samples are those of `spike_intervals`, split by `held_out`; `ends` as there. They are never made one by one,
+    which takes a third of the time.
     """
     fired, phase = jnp.asarray(spikes).astype(bool), jnp.asarray(_phase(spikes.shape[1:]))
     return np.asarray(_light_at_rest(fired, phase, jnp.asarray(ends, jnp.float32), settings))
@@ -100,8 +100,11 @@ def _light_at_rest(
 
 
 def _visited(fired: Bool[Array, "T h w"], ends: Float[Array, ""], add: Callable[..., Sums], sums: Sums) -> Sums:
-    """`sums` after `add(sums, time, worth, light, middle)` of each interval and end: frames that it lasts and what each
-    is worth, thresholds gathered, and its middle, as a frame; of all pixels at once, 0 worth where a pixel has none."""
+    """Fold `add` over all inter-spike intervals and ends, of all pixels at once.
+
+    `add(sums, time, worth, light, middle)` is given, (h, w) each: duration (frames), weight of a frame (0 where a pixel
+    has no such interval), light gathered (thresholds), and middle of the exposure (frame).
+    """
 
     def frame(carry: tuple[Array, Array, Sums], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Sums], None]:
         begin, seen, sums = carry

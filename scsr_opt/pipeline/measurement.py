@@ -34,7 +34,7 @@ class Measurements(NamedTuple):
     - `samples`: (n,), as measured, weighted by their share of the recording; intervals that can be used in part only,
       cut to it (`scsr_opt.pipeline.visibility`).
     - `light`: (n,), their weights before anything was cut.
-    - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
+    - `padded`: (m,), `samples`, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
     - `still_for`: (h, w), frames over which what a pixel sees hardly moves; `merged_for`: those over which its
       intervals were merged, which may be fewer.
     - `path`: where in the key frame lies what the pixels see.
@@ -193,8 +193,11 @@ def _longest_first(
     *,
     each: bool,
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """The samples' numbers, and how many positions each gets along its exposure, those with most first: `each` as many
-    as it needs, or all as many as any of them does. A second one is needed where visibility changes, too."""
+    """Indices of the samples, those with most positions first, and the number of positions of each, (n,) both.
+
+    `each`: each sample gets the positions that its own motion needs; otherwise all get the most that any needs. A
+    second one is needed where visibility changes, too.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         speed = speeds.during(samples.row, samples.column, samples.start, samples.stop)
         moved = speed * (samples.stop - samples.start)

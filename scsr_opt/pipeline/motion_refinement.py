@@ -59,7 +59,7 @@ def refine(
     if placed.value.shape != samples.value.shape or picture.shape != placed.shape:
         raise InputError(
             f"refine was given {samples.value.size} samples, {placed.value.size} places on a picture of "
-            f"{placed.shape}, and a picture of {picture.shape}; hand in the padded samples, what "
+            f"{placed.shape}, and a picture of {picture.shape}; give the padded samples, what "
             "`place` made of them, and B X."
         )
     longest = float(np.max(np.abs(np.asarray(samples.stop if samples.count else 0) - key), initial=1.0))

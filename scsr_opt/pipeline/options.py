@@ -1,4 +1,4 @@
-"""How a picture is to be solved for: `Options`, one value that is checked once, and `Shortcuts`, the work left out."""
+"""`Options`, all choices of a reconstruction as one value that is checked once, and `Shortcuts`, the work left out."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -35,8 +35,8 @@ class Shortcuts:
     **Fields:**
     - `simple_motion`: a richer motion is not estimated where a simpler one contradicts nothing, and what moves apart
       from the background is searched for only around the pixels that contradict the background.
-    - `merged_intervals`: the intervals of a pixel are merged while what it sees hardly moves, and an exposure gets only
-      as many positions as what it sees moves.
+    - `merged_intervals`: the intervals of a pixel are merged while what it sees hardly moves, and an exposure gets
+      only the positions that its motion needs.
     - `sensor_grid`: where nothing moves, samples lie on the sensor's grid, and the blurred picture is not computed in
       between.
     - `reused_sums`: M and c that were summed to find the strength are used again by the solve.
@@ -62,13 +62,13 @@ class Shortcuts:
 
     @property
     def any(self) -> bool:
-        """Whether any work may be left out."""
+        """True where any work may be left out."""
         return any(getattr(self, one.name) for one in fields(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Options:
-    """How a picture is to be solved for (Eq. 4); every field is also a keyword of `scsr_opt.reconstruct`.
+    """All choices of a reconstruction (Eq. 4); every field is also a keyword of `scsr_opt.reconstruct`.
 
     **Fields:**
     - `frames`: how many frames around the key frame are used (all, if the recording has fewer).
@@ -188,12 +188,12 @@ class Options:
 
     @property
     def estimates_optics(self) -> bool:
-        """Whether the lens is to be estimated."""
+        """True where the lens is to be estimated."""
         return isinstance(self.optics, str) and self.optics == "estimate"
 
     @property
     def finds_gain(self) -> bool:
-        """Whether gains of pixels are to be found from the recording."""
+        """True where gains of pixels are to be found from the recording."""
         return isinstance(self.gain, str) and self.gain in ("auto", "blind")
 
     @property
@@ -203,12 +203,12 @@ class Options:
 
     @property
     def selects_strength(self) -> bool:
-        """Whether λ is validated on held-out samples; with a robust loss outliers among them would decide."""
+        """True where λ is validated on held-out samples; with a robust loss outliers among them would decide."""
         return self.strength is None and self.robust is None
 
     @property
     def samples_apart(self) -> bool:
-        """Whether no samples are merged: with a robust loss, the mean of several would hide an outlier."""
+        """True where no samples are merged: with a robust loss, the mean of several would hide an outlier."""
         return self.robust is not None
 
 

@@ -159,8 +159,8 @@ class MajorizeMinimize:
         kept = self.solver.kept
         if not isinstance(state, self.solver.state_type) or _layout(kept(state)) != _layout(kept(own)):
             raise InputError(
-                f"state is not one that {type(self.solver).__name__} with {type(self.prior).__name__} can go on from "
-                f"to a picture of {image.shape}; give Solution.state of a solution by the same solver and prior, of "
+                f"state does not fit: {type(self.solver).__name__} with {type(self.prior).__name__} cannot start a "
+                f"picture of {image.shape} from it; give Solution.state of a solution by the same solver and prior, of "
                 f"the same size."
             )
 

@@ -1,7 +1,7 @@
 """Summary of a scene for people: what each part of it needed, found from motion and samples.
 
-It decides nothing; `Shortcuts` says what work may be left out, and the stages say where. Each tile of the sensor gets
-one `TileKind` by these tests of its spikes:
+It decides nothing: `Shortcuts` lists what work may be left out, and docs/architecture.md where. Each tile of the sensor
+gets one `TileKind` by these tests of its spikes:
 
 - *Moving or at rest*: by how long what a pixel sees hardly moves (`measure`), which follows from the motion.
 - *Dark, saturated, uniform*: by the numbers of spikes in the tile, each with a false-alarm rate of 0.1 %.
@@ -40,7 +40,7 @@ _REASONS = {
     TileKind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
     TileKind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while "
     "it hardly moves, or in runs where it fires in every frame",
-    TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: what there is is used in full, and smoothed",
+    TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: all of them are used, and smoothed",
     TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     TileKind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
 }
@@ -81,7 +81,7 @@ class SceneSummary:
         return float(np.mean(self.kind == kind))
 
     def reason(self, kind: TileKind) -> str:
-        """How tiles of a kind are handled, in words."""
+        """A sentence on how tiles of a kind are handled."""
         merged = bool((self.merged_for[self.kind == kind] > 1).any())
         reason = _APART if kind is TileKind.STATIC and not merged else _REASONS[kind]
         return reason.format(dark_spikes=self.settings.dark_spikes)
@@ -135,7 +135,7 @@ def summarise_scene(
       intervals were merged.
     - `weights`: of the samples.
     - `noise`: standard deviation of a pixel's mean number of spikes per frame.
-    - `bad_pixels`: true where the spikes say nothing; a tile of no others is dark.
+    - `bad_pixels`: (h, w), true where spikes are not used; a tile of no other pixels is dark.
     - `settings`: limits of the kinds.
     """
     frames, height, width = spikes.shape

@@ -1,7 +1,7 @@
 """Pictures of several key frames of one recording, each starting from what is known of the one before.
 
-From one key frame to the next little changes: what moves goes on moving, what rests has been solved for. So the motion
-of the last picture is carried on along its own trajectories; only which of its layers is seen where is looked at anew.
+From one key frame to the next little changes: motions last, and what rests has been solved for. So the motion of the
+last picture is carried on along its own trajectories; only which of its layers is seen where is decided anew.
 It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
 then, and the gains are found, and both are carried on with it. The picture and the prior's dual variables are moved
 along, and the solve starts from there, or from playback where hardly anything was seen.
@@ -120,6 +120,7 @@ class _Moment(NamedTuple):
 
     @property
     def key(self) -> int:
+        """The key frame, counted from the recording's first frame."""
         return self.task.clip.key_frame
 
 

@@ -52,7 +52,7 @@ class SamplingSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class StrengthSettings(Settings):
-    """How the strength λ of the prior is found (`scsr_opt.pipeline.strength`, `scsr_opt.pipeline.folds`)."""
+    """Search for the strength λ of the prior (`scsr_opt.pipeline.strength`, `scsr_opt.pipeline.folds`)."""
 
     noise_factor: float = 0.06
     """λ = noise_factor · √(noise / frames) · 2/s · `Prior.relative_strength`. The root is how far noise moves the
@@ -97,7 +97,7 @@ class StrengthSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class OuterLoopSettings(Settings):
-    """When exposures are corrected and samples reweighted during a solve (`scsr_opt.pipeline.outer_loop`)."""
+    """Corrections of exposures and reweighting during a solve (`scsr_opt.pipeline.outer_loop`)."""
 
     correction_tolerances: float = 30.0
     """Distance, in tolerances of the solver, from where the quadratic touches the data term to the picture, above which
@@ -120,7 +120,7 @@ class OuterLoopSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementSettings(Settings):
-    """How motion is refined against the picture (`scsr_opt.pipeline.motion_refinement`). Distances in sensor pixels
+    """Refinement of the motion against the picture (`scsr_opt.pipeline.motion_refinement`). Distances in sensor pixels
     are those at the moment farthest from the key frame."""
 
     samples: int = 1 << 17
@@ -160,7 +160,7 @@ class SceneSummarySettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceSettings(Settings):
-    """What the next picture of a sequence takes over from the last one (`scsr_opt.pipeline.sequence`)."""
+    """Values that the next picture of a sequence takes over from the last one (`scsr_opt.pipeline.sequence`)."""
 
     carried_frames: int = 100
     """Frames over which a motion is carried on, at most: as long as some of the frames that it was estimated from are

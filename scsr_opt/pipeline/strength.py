@@ -1,9 +1,9 @@
-"""How much weight the prior gets: the strength λ of Eq. 4, from the recording itself.
+"""The strength λ of the prior in Eq. 4, from the recording itself.
 
-Two things are known. The noise between neighbouring intervals of a pixel says how far the gradient of f is moved by
-chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor of 2 of 1.
-In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and smooth
-scenes want several times as much. So λ is validated (`StrengthSearch`): part of the samples is held out, and the
+Two things are known. The noise between neighbouring intervals of a pixel is a measure of how far the gradient of f is
+moved by chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor
+of 2 of 1. In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and
+smooth scenes want several times as much. So λ is validated (`StrengthSearch`): part of the samples is held out, and the
 picture made from the others has to predict them.
 """
 
@@ -54,7 +54,7 @@ def relative_strength(prior: Prior) -> float:
     found = prior.relative_strength
     if found is None:
         raise InputError(
-            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; hand one in: "
+            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; give one: "
             "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-3."
         )
     return found
@@ -136,11 +136,11 @@ class _Part:
 
     @property
     def begun(self) -> bool:
-        """Whether there is a picture that others can start from."""
+        """True once there is a picture that others can start from."""
         return bool(self._states)
 
     def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
-        """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
+        """Corrects for the motion during exposures, if they are long, by pictures of this strength; called first."""
         plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
         self._plain = self._term = solver.prepared(plain).data
         for _ in range(2 if self._kept.finest > 1 else 0):
@@ -152,12 +152,12 @@ class _Part:
         return _missed(self._held, self._plain, self.image)
 
     def term(self) -> DataTerm | None:
-        """M, c and e of all its samples, if those of `both` are known."""
+        """M, c and e of all its samples, where those of the held-out ones were summed; else None."""
         return _together(*self._sums) if len(self._sums) == 2 else None
 
 
 def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
-    """`_Part.missed` of the picture of this strength."""
+    """`_Part.missed` of the picture of this strength, (2,)."""
     part.solve(solver, prior, strength)
     return np.asarray(part.missed())
 
@@ -302,9 +302,9 @@ class StrengthSearch:
     def _part_at_rest(
         self, part: Clip, path: Trajectory, first: Float[Array, "H W"], gain: Float[np.ndarray, "h w"] | None
     ) -> "_Part | None":
-        """As `_split` of intervals where nothing moves: all that a pixel keeps, and all that is held out of it, is one
-        sample. What is missed then differs from what the intervals are missed by in a number that is the same for all
-        pictures."""
+        """The part of a scene at rest, where all intervals of a pixel that are kept make one sample, and all that are
+        held out another; None where there are too few. The error differs from that of single intervals by a number that
+        is the same for all pictures."""
         assert isinstance(self.sampling, Intervals)
         scale, (frames, height, width) = self.scale, part.spikes.shape
         rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
@@ -333,10 +333,13 @@ class StrengthSearch:
 def _chosen(
     image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"], most: int
 ) -> list[tuple[slice, slice]]:
-    """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `most` at most. All
-    parts that overlap by up to half are sorted by their mean contrast in `image` into as many groups; of each, the one
-    nearest to the group's mean is taken, of equals that nearest to the middle. Only `good` pixels count, and parts with
-    less than half their share of them are left out."""
+    """Rows and columns, sensor pixels, of the parts that strengths are tried on.
+
+    Parts are up to `side` a side. All that overlap by up to half are sorted by their mean contrast in `image` into
+    groups, one for each part that fits beside the others, `most` at most; of each group the one nearest to its mean is
+    taken, of equals that nearest to the middle. Only `good` pixels count, and parts with less than half their share of
+    them are left out.
+    """
     height, width = good.shape
     contrast = good * np.asarray(_contrast(jnp.asarray(image), scale))
     begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in good.shape]
@@ -383,7 +386,7 @@ def _split(
     counted = np.flatnonzero(held & (weight > 0))
     if min(counted.size, np.count_nonzero(weight) - counted.size) < settings.least_samples:
         return None
-    # Of few lengths, for compiled code to be met again.
+    # Padded to one of few lengths, so that compiled code is used again.
     filling = (0, padded_length(counted.size) - counted.size)
     chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
     chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
@@ -406,7 +409,7 @@ def longest_merged(
 def in_parts(
     clip: Clip, scale: int, optics: LinearOperator | None = None, settings: StrengthSettings = StrengthSettings()
 ) -> bool:
-    """Whether strengths are tried on parts of the picture, or on the whole."""
+    """True where strengths are tried on parts of the picture, false where on the whole."""
     return max(clip.spikes.shape[1:]) > _side_of_parts(clip, scale, optics, settings)
 
 
@@ -433,6 +436,6 @@ def _together(some: DataTerm, others: DataTerm) -> DataTerm:
 
 
 def _vertex(before: float, at: float, after: float) -> float:
-    """Where the parabola through three values at −1, 0 and 1 is least, within these."""
+    """The minimum of the parabola through three values at −1, 0 and 1, from −1 to 1."""
     curvature = before - 2 * at + after
     return float(np.clip((before - after) / (2 * curvature), -1, 1)) if curvature > 0 else 0.0

@@ -1,4 +1,4 @@
-"""A clip, a scale and options, and the stages that need nothing else: motion, samples, summary of the scene."""
+"""`Task`: a clip, a scale and options, and the stages that need nothing else (motion, samples, scene summary)."""
 
 import time
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Task:
         return Automatic(skip=self.options.shortcuts.simple_motion) if motion is None else motion
 
     def motion_frames(self, gain: Float[np.ndarray, "h w"] | None) -> MotionFrames | None:
-        """The pictures, over these gains, by which motion is estimated; None where none can be seen."""
+        """Short pictures along the clip, over these gains, to estimate motion by; None where no motion can show."""
         clip = self.clip
         return comparable(clip.spikes, key=clip.key, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels, gain=gain)
 
@@ -66,7 +66,7 @@ class Task:
         return Motion.none(*self.clip.shape) if frames is None else motion_in(frames, self.estimator)
 
     def estimate_gain_at_rest(self) -> Float[np.ndarray, "h w"]:
-        """Gains of the pixels by what is known of pictures, where the scene does not move."""
+        """Gains of the pixels of a scene at rest, (h, w), told from the picture by a network (`gain_at_rest`)."""
         clip = self.clip
         return gain_at_rest(
             clip.spikes,
@@ -126,7 +126,7 @@ class Task:
         )
 
     def summarise(self, motion: Motion, measurements: Measurements, noise: float) -> SceneSummary | None:
-        """What each part of the scene needed; None where no work may be left out."""
+        """Summary of what each part of the scene needed; None where no work may be left out."""
         if not self.options.shortcuts.any:
             return None
         samples, clip = measurements.samples, self.clip

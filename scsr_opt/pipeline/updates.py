@@ -1,4 +1,4 @@
-"""What is found anew between two solves: gains of the pixels, and the motion, from the picture so far.
+"""Updates between two solves: gains of the pixels, and the motion, from the picture so far.
 
 The outer loop (`scsr_opt.pipeline.reconstruct`) solves, applies an update, and solves again from there. Two more
 updates happen within a solve, as they need no more than its picture: corrections for the motion during exposures, and
@@ -31,11 +31,11 @@ class Update(abc.ABC):
 
     @abc.abstractmethod
     def rounds(self, assembly: Assembly) -> int:
-        """How many times it is applied at most."""
+        """The number of times that it is applied, at most."""
 
     @abc.abstractmethod
     def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
-        """The problem after update `number`, from 0; `found`: the solve before it."""
+        """The problem after update `number`, counted from 0; `found`: the solve before it."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class GainUpdate(Update):
         task, motion, measured, known = assembly.task, assembly.motion, assembly.measured, assembly.gain_known
         gain = self._gain(assembly, found, measured, at_rest=assembly.gain_at_rest)
         assembly = _with_spread(assembly, spread_of(gain, known))
-        if task.estimator is not None:  # a pattern, which rests, had been among what moves
+        if task.estimator is not None:  # motion was estimated with the pattern in, which rests
             motion = task.estimate_motion(task.motion_frames(gain))
             measured = task.measure(motion, None)
             known = gain_is_known(motion.moved(len(task.clip.spikes)), options.settings.gain)
@@ -67,7 +67,7 @@ class GainUpdate(Update):
             assembly = replace(assembly, measured=measured, gain_known=known, scene=scene)
         measurements = measured.with_gain(gain, known, assembly.noise)
         assembly = replace(assembly, measurements=measurements, gain=gain, near=None, term=None)
-        if options.selects_strength and number == 0:  # a fixed pattern had asked for more
+        if options.selects_strength and number == 0:  # with the pattern in, a stronger prior had predicted best
             assembly = replace(assembly.with_validated_strength(), near=None).with_sums()
         return Updated(assembly, True)
 

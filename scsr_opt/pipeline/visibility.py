@@ -1,7 +1,7 @@
 """Intervals that can be used for a part of their exposure, cut to that part.
 
-What a pixel sees may come into view, be hidden, leave the picture, or stop moving as the motion says, during an
-exposure; as it is, the whole sample then counts as little as its worst moment. But the stretch of time that can be used
+During an exposure a surface may come into view, be hidden, leave the picture, or stop moving as the motion says; a
+sample that is not cut then counts as little as its worst moment. But the stretch of time that can be used
 is a recording of its own, and an interval that reaches beyond it is one of its ends (`scsr_opt.camera.samples`): ½θ if
 a spike begins or ends it, nothing if none does. Without these, dark surfaces, whose intervals are long, are known by
 their brightest moments only.
@@ -93,7 +93,7 @@ def _longest_stretch(
     least, since = (np.full(start.size, np.inf, np.float32) for _ in range(2))
     longest = np.zeros((2, start.size), np.float32)
     for k in range(span.max(initial=0) + 1):
-        some = order[: np.searchsorted(-span, -k, side="right")]  # those that have so many
+        some = order[: np.searchsorted(-span, -k, side="right")]  # those with at least k moments
         moment = before[some] + k
         seen, time = usable[moment, pixel[some]], np.float32(first) + np.float32(SPACING) * moment.astype(np.float32)
         if k == 0:
@@ -111,7 +111,7 @@ def _longest_stretch(
 
 @eqx.filter_jit
 def _usable(path: Trajectory, visible_least_share: float) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]]:
-    """How far what each pixel sees at the trajectory's moments can be used, and of which pixels much more at one time
-    than at another."""
+    """Weight of each pixel at the trajectory's moments, (n, h, w), and the pixels, (h, w), whose least weight is below
+    the visible share of their largest."""
     usable = path.usable
     return usable, folded(jnp.minimum, usable) < visible_least_share * folded(jnp.maximum, usable)

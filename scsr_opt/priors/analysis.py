@@ -42,7 +42,7 @@ class Analysis(Prior[State], Generic[State]):
     a bound of K diag(w) K* on each value of the field allows (`bounds`; Pock and Chambolle, 2011, "Diagonal
     preconditioning for first order primal-dual algorithms in convex optimization").
 
-    A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: hand the
+    A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: give the
     returned state to the next call. Four to ten are then enough. For a single one from `initial_state` use 100 or more,
     and `gap` to see how far it got.
 
@@ -122,12 +122,12 @@ class Analysis(Prior[State], Generic[State]):
         state: State,
         nearest: Callable[[Float[Array, "H W"]], Float[Array, "H W"]],
     ) -> tuple[Float[Array, "H W"], State]:
-        """The same over the pictures of a closed convex set only, `nearest` being the projection onto it.
+        """`prox` over the pictures of a closed convex set only, `nearest` being the projection onto it.
 
         The minimiser is then nearest(f − λK*p), and the dual objective has the same Lipschitz constant (Beck and
         Teboulle, 2009, §4). The result is within the set after any number of steps.
         """
-        # Behind barriers are numbers that XLA does not know, and pictures that it does not compute anew for each use.
+        # Barriers hide numbers from XLA, and keep it from computing pictures anew for each use.
         if jnp.ndim(strength) == 0:
             off, strength = divisible(strength, image.dtype)
             # Steps of length 0, and not a choice at the end: that would make the last step more kernels than others.
@@ -136,7 +136,7 @@ class Analysis(Prior[State], Generic[State]):
             rate, last = along / bound, jnp.where(off, 0, strength)
         else:
             strength, divisor = jnp.asarray(strength, image.dtype), jnp.ones((), image.dtype)
-            # Values of the field that only pixels of strength 0 meet in change no picture, and may go on as they like:
+            # Values of the field that only pixels of strength 0 meet in change no picture, and may take any value:
             # to choose for each would cost a sixth more of memory's traffic.
             _, bound = divisible(self.bounds(strength), image.dtype)
             strength, rate, divisor = jax.lax.optimization_barrier((strength, 1 / bound, divisor))

@@ -25,7 +25,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that says what it was trained on."""
+"""Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that lists what it was trained on."""
 # Frequencies a side on which the norm of the bank is looked for.
 _GRID = 128
 # float32 keeps seven digits, and a file's filters were symmetric before they were rounded.
@@ -267,7 +267,7 @@ def _within_adjoint(filters: Float[Array, "C k k"], field: Float[Array, "C h w"]
 
 
 def _windows(side: int, wide: Float[Array, "_ _"]) -> Float[Array, "kk h w"]:
-    """What a filter of this side sees at each place where it lies within a picture: a plane for each of its pixels."""
+    """Pixels under a filter of this side at each place where it lies within a picture: a plane for each of them."""
     height, width = (length - side + 1 for length in wide.shape)
     return jnp.stack(
         [wide[row : row + height, column : column + width] for row in range(side) for column in range(side)]

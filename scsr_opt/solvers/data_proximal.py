@@ -19,8 +19,8 @@ class DataProximal(ProximalGradient):
     """X ← argmin over X of ½‖X − R‖² + τ f(X), R = X − τλ∇Ψ(X): Eq. 5 with its roles exchanged, with the momentum of
     `FISTA`, which begins anew whenever the objective rose.
 
-    Where nothing moves and the lens is perfect, what a sensor pixel gathered says something of its own s×s block of
-    the picture and of no other. The proximal step of the data then adds a number to each block (`DataTerm.prox`), for
+    Where nothing moves and the lens is perfect, the light of a sensor pixel depends on its own s×s block of the picture
+    and on no other. The proximal step of the data then adds a number to each block (`DataTerm.prox`), for
     any τ, and what is left to iterate for is the shape within blocks, which the prior alone decides. A smooth one needs
     no proximal step, and none of the dual steps that one is made of: λτ is one over the Lipschitz constant of ∇Ψ.
     (Gradient steps on the regulariser and proximal ones on the data: Hurault, Leclaire, Papadakis, 2022, "Gradient step

@@ -1,4 +1,4 @@
-"""How the solution changes with the strength and the samples: derivatives of the minimiser, not of the iterations."""
+"""Derivatives of the minimiser by the strength and the samples: of the minimiser itself, not of the iterations."""
 
 from collections.abc import Callable
 from typing import Any

@@ -29,7 +29,7 @@ Correction = Callable[[Float[Array, "H W"], float], Problem | None]
 
 
 class Outcome(NamedTuple):
-    """What a solve gives back; `tiles`, their iterations where tiles were looked at one by one (`run_tiles`)."""
+    """Result of a solve; `tiles`, iterations of single tiles, where there were any (`run_tiles`)."""
 
     image: Float[np.ndarray, "H W"]
     stages: tuple[Stage, ...]
@@ -50,7 +50,7 @@ def run(
     keep_images: bool = False,
     tolerance: float | int | None = None,
 ) -> Outcome:
-    """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with that of a `similar` problem.
+    """Runs `solver` on `problem` from `image`, from `state`, or from the state of a `similar` problem.
 
     **Arguments:**
     - `image`: (H, W), X^(0); `problem.start` if None.
@@ -58,7 +58,7 @@ def run(
       would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
     - `correction`: makes another problem of the picture after every `CORRECTED_AFTER` iterations, and where the
       tolerance is met; only where it makes none the run ends there.
-    - `progress`: is told of the iterations, by chunks.
+    - `progress`: receives the number of iterations done, by chunks.
     - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
     - `tolerance`: stands in for the solver's own.
 
@@ -75,7 +75,7 @@ def run(
         raise InputError("run was given no picture, nor a problem with one (Problem.start); give X^(0).")
     iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
     solver.check(problem.prior)
-    # The limits are handed over apart, so that other limits compile nothing anew.
+    # The limits are arguments of their own, so that other limits compile nothing anew.
     solver = dataclasses.replace(solver, iterations=1, tolerance=0.0)
     if state is not None:
         _check_state(solver, problem, state)
@@ -101,7 +101,7 @@ def run(
             table, done, finite, met = jax.device_get(seen)
             seconds = time.perf_counter() - begin
             if not finite:
-                if done == 1 and not stages:  # there is no picture before but the one that was handed in
+                if done == 1 and not stages:  # there is no picture before but the first one
                     _check_finite(solver, image if before is None else solver.image(before))
                 # Rather than that every iteration keeps the one before it: the same way once more, but for its last.
                 state = advanced(before, int(done) - 1)[0]

@@ -42,7 +42,7 @@ class _PrimalDual(Solver[PrimalDualState]):
     @property
     @abc.abstractmethod
     def _over(self) -> float | int:
-        """How far beyond its end a step is taken, as a multiple of its length."""
+        """Over-relaxation: the length of the step that is taken, in lengths of the step."""
 
     @abc.abstractmethod
     def _primal(self, lipschitz: Array) -> Float[Array, ""]:
@@ -50,7 +50,7 @@ class _PrimalDual(Solver[PrimalDualState]):
 
     @abc.abstractmethod
     def _move(self, problem: Problem, slope: Array, τ: Array) -> Float[Array, "H W"]:
-        """How the picture changes where ∇f(X) + λK*p is `slope`."""
+        """The change of the picture where ∇f(X) + λK*p is `slope`."""
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> PrimalDualState:
         return self._begin(problem, image, splitting_of(problem.prior).initial(image))

@@ -1,4 +1,4 @@
-"""Nonlinear conjugate gradients and L-BFGS of optimistix, behind the same face as the other solvers, for priors that
+"""Nonlinear conjugate gradients and L-BFGS of optimistix, as `Solver`s, for priors that
 have a gradient.
 
 Their line search compares values of F, and can tell two pictures apart as long as these differ by more than rounding.
@@ -60,8 +60,8 @@ class _Objective(eqx.Module):
 
 
 class _Search(optx.BacktrackingArmijo):
-    """Armijo's rule, but for rounding: where F no longer tells two pictures apart, a method goes on by its gradient,
-    which knows more digits.
+    """Armijo's rule, but for rounding: where F no longer tells two pictures apart, a method follows its gradient,
+    which has more digits.
 
     **Fields:** `growth`: where a step is tried first, in lengths of the last that was accepted; None for the method's
     own step. `slack`: by how much F may rise and still count as lower, in ε|F|: it is a sum of many numbers.
@@ -82,6 +82,8 @@ class _Search(optx.BacktrackingArmijo):
 
 
 class Smooth(Solver[SmoothState]):
+    """A minimiser of optimistix as a `Solver`, for smooth priors."""
+
     state_type: ClassVar[type] = SmoothState
     uses_prox: ClassVar[bool] = False
 

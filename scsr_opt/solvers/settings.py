@@ -7,7 +7,7 @@ from scsr_opt._settings import Settings
 
 @dataclass(frozen=True, kw_only=True)
 class TileSettings(Settings):
-    """When the whole picture is iterated, and when single tiles of it (`run_tiles`)."""
+    """Iterations of the whole picture and of single tiles of it (`run_tiles`)."""
 
     side_px: int = 32
     """Side of a tile, sensor pixels. With half of that, as large a part of the windows is border as tile, and more of
@@ -15,7 +15,7 @@ class TileSettings(Settings):
     whole_tolerances: float = 4.0
     """Residual, in tolerances, to which the whole picture is iterated before its tiles."""
     whole_similar_tolerances: float = 64.0
-    """The same where the solve starts from that of a similar problem, which is finished in many places."""
+    """That residual where the solve starts from that of a similar problem, which is finished in many places."""
     limit_tolerances: float = 10.0
     """Residual of a tile, in tolerances, above which it is iterated on."""
     finished_share: float = 0.6

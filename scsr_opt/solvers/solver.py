@@ -27,7 +27,7 @@ class Record(NamedTuple):
     step_size: Float[Array, "..."]
 
 
-# What a solver may be made of, and an example of each.
+# Parts that a solver may have, their type, and an example of each.
 _PARTS: dict[str, tuple[type, str]] = {
     "stopping": (Stopping, "FixedPoint()"), "step_size": (StepSize, "Separable() or Fixed(value)"),
     "balance": (Balance, "Balance(ratio)"), "linear_solve": (LinearSolve, "ConjugateGradients()"),
@@ -70,7 +70,7 @@ class Solver(eqx.Module, Generic[State]):
         self.stopping.check(prior)
 
     def prepared(self, problem: Problem) -> Problem:
-        """The problem with what each solve with the same M would have to find out anew."""
+        """The problem with the numbers that each solve with the same M needs, such as the bound of ‖BᵀMB‖."""
         return eqx.tree_at(lambda p: p.data, problem, with_bound(problem.data))
 
     @abc.abstractmethod
@@ -82,12 +82,12 @@ class Solver(eqx.Module, Generic[State]):
         return self.init(problem, self.image(state))
 
     def retargeted(self, problem: Problem, before: Problem, state: State) -> State:
-        """The state to go on from where c and e have become those of `problem`, and nothing else has changed since
-        `before`, the problem of the last iteration."""
+        """The state before the next iteration where c and e have become those of `problem`; nothing else has changed
+        since `before`, the problem of the last iteration."""
         return self.warm(problem, state)
 
     def kept(self, state: State) -> State:
-        """A state that `warm` makes the same of, with the picture in the place of all that it does not look at."""
+        """The state with the picture in the place of every field that `warm` does not read, to save memory."""
         return state
 
     @abc.abstractmethod

@@ -1,15 +1,15 @@
-"""An active set: the iteration goes on where a picture is not finished, and leaves alone what is.
+"""An active set: only those tiles of a picture are iterated further that are not finished.
 
 What rests is found in a few iterations, what moves or was hardly seen in many, and the residual of the whole picture is
 a mean of both. So the whole picture, if it has more than a few tiles, is iterated only until that is near the
-tolerance. The slope of F then says of each tile how far from optimal it is: by how much a step along it, as long as
-each pixel allows, changes the tile. Where that is above a limit, F is minimised over the tile's pixels alone, their
+tolerance. How far each tile then is from optimal is measured by the slope of F: by how much a step along it, as long
+as each pixel allows, changes the tile. Where that is above a limit, F is minimised over the tile's pixels alone, their
 surroundings held, by the same solver: in a window that reaches as far as a pixel's gradient does, with steps of length
 0 outside the tile. No two tiles that touch are solved for at once (they have four colours), so that F falls with each,
 as in any descent by blocks of coordinates.
 
-Then the whole picture is looked at again, and what a neighbour's change woke is gone on with. A solve ends with an
-iteration of the WHOLE picture, whose residual meets the tolerance, and that of no tile is above its limit.
+Then the whole picture is looked at again, and tiles that a neighbour's change moved are iterated, too. A solve ends
+with an iteration of the WHOLE picture, whose residual meets the tolerance, and that of no tile is above its limit.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ from scsr_opt.solvers.stopping import FixedPoint
 
 
 def is_tileable(solver: Solver, problem: Problem, settings: TileSettings = TileSettings()) -> bool:
-    """Whether a problem can be solved tile by tile: each pixel has its own step size, and is coupled with near ones
+    """True where a problem can be solved tile by tile: each pixel has its own step size, and is coupled with near ones
     only."""
     data = problem.data
     if not isinstance(data.aperture, Aperture) or data.optics is not None:
@@ -63,7 +63,7 @@ def run_tiles(
     finished_tiles: bool = True,
     settings: TileSettings = TileSettings(),
 ) -> Outcome:
-    """As `run`, but until each tile is finished, too; for what `is_tileable`.
+    """Iterations as by `run`, until each tile is finished, too; for problems that are `is_tileable`.
 
     **Arguments:** those of `run`, and
     - `finished_tiles`: whether tiles that are finished are left alone (`Shortcuts`). If not, iterations are of the
@@ -86,7 +86,7 @@ def run_tiles(
 
 
 class _Within(NoProgress):
-    """A part of what others see as one piece of work."""
+    """Progress of a part of the solve, without a start and an end of its own."""
 
     def __init__(self, progress: Progress):
         self._progress = progress
@@ -125,9 +125,9 @@ def _run(
     def whole(tolerance: float, iterations: int, **begin: Any) -> tuple[Any, Status]:
         """Iterations of the whole picture, with corrections on the way."""
         limited = dataclasses.replace(solver, iterations=iterations)
-        touched, told = None if correction is None else corrected, None if progress is None else _Within(progress)
+        touched, within = None if correction is None else corrected, None if progress is None else _Within(progress)
         since, done = time.perf_counter() - begun, len(stages)
-        outcome = run(limited, current, image, correction=touched, progress=told, tolerance=tolerance, **begin)
+        outcome = run(limited, current, image, correction=touched, progress=within, tolerance=tolerance, **begin)
         for stage in outcome.stages:
             stages.append(dataclasses.replace(stage, number=done + stage.number, seconds=since + stage.seconds))
         return outcome.state, outcome.status
@@ -137,7 +137,7 @@ def _run(
 
     side, stages = _side(problem, settings), list[Stage]()
     alone = np.zeros([-(-length // side) for length in problem.data.shape], int)
-    # The limits are handed over apart, as in `run`: other ones compile nothing anew.
+    # The limits are arguments of their own, as in `run`: other ones compile nothing anew.
     steps, worst = dataclasses.replace(solver, iterations=1, tolerance=0.0), float("nan")
     limit = settings.limit_tolerances * enough
     # No tile's residual is above the whole picture's times the root of their number: few tiles would then be finished,
@@ -155,7 +155,7 @@ def _run(
             break
         finite = state = _restarted(state, gradient) if stale else state
         active = slopes > limit
-        # Neighbours that they would soon wake go on with them.
+        # Neighbours that would soon be moved by them are iterated with them.
         active |= (maximum_filter(active, 3) > 0) & (slopes > settings.finished_share * limit)
         stale = False
         if left() < (2 if active.any() else 1):
@@ -250,12 +250,12 @@ def _on_tiles(
 ) -> tuple[ProximalGradientState, Int[np.ndarray, "rows columns"]]:
     """Iterations of the tiles that have slopes, up to `most` of each: the state, of which picture and dual variables
     are up to date, and how many."""
-    # Steepest first, so that those that go on for as long are in one batch.
+    # Steepest first, so that those that need about the same number of iterations are in one batch.
     size, enough = settings.batch, settings.finished_share * limit
     order = np.argsort(-slopes, axis=None, kind="stable")[: np.count_nonzero(slopes)]
     tiles = np.stack(np.unravel_index(order, slopes.shape), axis=1)
     colour = tiles[:, 0] % 2 * 2 + tiles[:, 1] % 2
-    # Of one length whatever is active. What a batch is filled up with lies outside the picture, where nothing is done.
+    # Padded to one length, with tiles outside the picture, for which nothing is done.
     batches, filled = np.full((-(-slopes.size // size) + 4, size, 2), -1, np.int32), 0
     for own in (tiles[colour == number] for number in range(4)):
         needed = -(-len(own) // size)

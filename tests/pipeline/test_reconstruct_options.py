@@ -296,10 +296,10 @@ def test_reconstruct_limit_of_iterations_holds_for_all_corrections_together(made
 @pytest.mark.parametrize(
     ("change", "asked"),
     [
-        ({"solver": ADMM()}, "ADMM with RidgeRegulariser can go on from to a picture of (48, 48)"),
+        ({"solver": ADMM()}, "ADMM with RidgeRegulariser cannot start a picture of (48, 48)"),
         ({"prior": WaveletL1()}, "FISTA with WaveletL1"),
         ({"prior": Bounded(TotalVariation())}, "FISTA with Bounded"),
-        ({"scale": 3}, "FISTA with RidgeRegulariser can go on from to a picture of (72, 72)"),
+        ({"scale": 3}, "FISTA with RidgeRegulariser cannot start a picture of (72, 72)"),
         ({"state": "nothing"}, "FISTA with RidgeRegulariser"),
     ],
 )

@@ -138,10 +138,10 @@ class PlacedSamples(eqx.Module):
     @eqx.filter_jit
     def spread(self, values: Float[Array, " n"]) -> Float[Array, "H W"]:
         """Σ_j values_j r_j, the adjoint of `read`. It can be differentiated by the values, and by nothing else."""
-        return _spread(values, self.apart)
+        return _spread(values, self.with_fixed_values)
 
     @property
-    def apart(self) -> "PlacedSamples":
+    def with_fixed_values(self) -> "PlacedSamples":
         """These samples, with values that nothing is differentiated by."""
         return eqx.tree_at(lambda placed: placed.value, self, jax.lax.stop_gradient(self.value))
 
@@ -381,7 +381,7 @@ def accumulate(
     """
     height, width = placed.shape
     weight = placed.weight if robust is None else placed.weight * robust
-    planes, target = _sums(placed.value, placed.apart, weight)
+    planes, target = _sums(placed.value, placed.with_fixed_values, weight)
     return DataTerm(
         stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
         target=target.reshape(height, width),

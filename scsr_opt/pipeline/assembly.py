@@ -181,12 +181,12 @@ def assemble_task(task: Task) -> Assembly:
     elif options.selects_strength:
         assembly = assembly.with_validated_strength()
     if options.solver is None:
-        apart = measured.placed.on_sensor and assembly.method.optics is None
+        block_diagonal = measured.placed.on_sensor and assembly.method.optics is None
         solver = default_solver(
             prior,
             strength=assembly.strength,
             scale=task.scale,
-            apart=apart,
+            block_diagonal=block_diagonal,
             steepest=settings.data_proximal_steepness,
         )
         assembly = replace(assembly, method=replace(assembly.method, solver=solver))

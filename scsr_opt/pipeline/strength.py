@@ -91,10 +91,11 @@ class ValidatedStrength(NamedTuple):
     """A strength λ, and what finding it left behind where the whole picture was one part.
 
     **Fields:**
-    - `image`: of the pictures that were made that of the strength nearest to it (before a prior that stood in is
-      accounted for), (H, W), intensity: a start much nearer to the solution than playback. None if it is not finite.
-    - `term`: M, c and e of all samples, those that were held out added to the others, if work is to be skipped; None
-      where strengths were tried on other samples than those of the picture.
+    - `strength`: λ.
+    - `image`: (H, W), intensity, the picture of the tried strength nearest to it (before a prior that stood in is
+      accounted for): a start much nearer to the solution than playback. None if it is not finite.
+    - `term`: M, c and e of all samples, those that were held out added to the others; None where these sums are not
+      used again, or strengths were tried on other samples than those of the picture.
     """
 
     strength: float
@@ -102,9 +103,8 @@ class ValidatedStrength(NamedTuple):
     term: DataTerm | None = None
 
 
-class _Part:
-    """A part of the picture on which strengths are tried: a picture is made from some of its samples and has to predict
-    the others.
+class _Fold:
+    """A part of the picture, with its samples split in two: a picture is made from one and has to predict the other.
 
     **Attributes:** `image`, the last picture, (H, W).
     """
@@ -118,8 +118,8 @@ class _Part:
         *,
         both: bool = False,
     ):
-        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0); `both`: whether
-        `term` will be asked for, whose sums are found beside the others."""
+        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0); `both`: whether M
+        and c of the samples to predict are summed, too, for `term`."""
         self.image, self._first = first, first
         self._kept, self._held = kept, held
         self._sums = in_threads(partial(accumulate, optics=optics), [kept, held] if both else [kept])
@@ -139,7 +139,7 @@ class _Part:
         """True once there is a picture that others can start from."""
         return bool(self._states)
 
-    def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
+    def correct_exposures(self, solver: Solver, prior: Prior, strength: float) -> None:
         """Corrects for the motion during exposures, if they are long, by pictures of this strength; called first."""
         plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
         self._plain = self._term = solver.prepared(plain).data
@@ -147,19 +147,19 @@ class _Part:
             self.solve(solver, prior, strength)
             self._term = with_exposure(self._plain, self._kept, self.image)
 
-    def missed(self) -> Float[Array, "2"]:
+    def error(self) -> Float[Array, "2"]:
         """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
-        return _missed(self._held, self._plain, self.image)
+        return _weighted_error(self._held, self._plain, self.image)
 
     def term(self) -> DataTerm | None:
-        """M, c and e of all its samples, where those of the held-out ones were summed; else None."""
-        return _together(*self._sums) if len(self._sums) == 2 else None
+        """M, c and e of all its samples; None where those of the held-out ones were not summed."""
+        return _added(*self._sums) if len(self._sums) == 2 else None
 
 
-def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
-    """`_Part.missed` of the picture of this strength, (2,)."""
+def _error_at(solver: Solver, prior: Prior, strength: float, part: _Fold) -> Float[np.ndarray, "2"]:
+    """`_Fold.error` of the picture of this strength, (2,)."""
     part.solve(solver, prior, strength)
-    return np.asarray(part.missed())
+    return np.asarray(part.error())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,12 +220,12 @@ class StrengthSearch:
         errors: dict[float, float] = {}
         pictures: dict[float, Float[Array, "H W"]] = {}
 
-        in_threads(lambda part: part.expose(solver, stand_in, least / share), folds)
+        in_threads(lambda part: part.correct_exposures(solver, stand_in, least / share), folds)
 
         def error(factor: float) -> float:
             """Mean square by which held-out samples are missed at `factor` times the strength by noise."""
             if factor not in errors:
-                sums = in_threads(partial(_misses, solver, stand_in, least * factor / share), folds)
+                sums = in_threads(partial(_error_at, solver, stand_in, least * factor / share), folds)
                 squares, weights = np.sum(sums, 0)
                 errors[factor] = float(squares / weights)
                 if whole:
@@ -258,7 +258,7 @@ class StrengthSearch:
 
     def _parts(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
-    ) -> list[tuple[tuple[slice, slice], "_Part"]]:
+    ) -> list[tuple[tuple[slice, slice], "_Fold"]]:
         """Parts of the picture with their rows and columns, sensor pixels; none where too few samples are held out."""
         settings, side = self.settings, _side_of_parts(clip, self.scale, self.optics, self.settings)
         good = np.ones(clip.shape, bool) if clip.bad_pixels is None else ~clip.bad_pixels
@@ -270,7 +270,7 @@ class StrengthSearch:
         # Held-out intervals must not be merged with others.
         unmerged = None if known is None or (known.merged_for > 1).any() else known
 
-        def made(area: tuple[slice, slice]) -> _Part | None:
+        def made(area: tuple[slice, slice]) -> _Fold | None:
             # Sums of few pixels are too few to tell.
             merge = self.merged_intervals and int(good[area].sum()) >= settings.least_samples
             pieces, part, first, merged = unmerged, clip.part(*area), image[_scaled(area, self.scale)], False
@@ -279,7 +279,7 @@ class StrengthSearch:
                 # No more is merged than what is held out as a whole, if that holds intervals enough.
                 if merge and isinstance(self.sampling, Intervals):
                     if on_sensor and self.sampling.noise is None:
-                        return self._part_at_rest(part, path.part(*area), first, gain)
+                        return self._fold_at_rest(part, path.part(*area), first, gain)
                     frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
                     merged = bool(frames_each.mean() <= settings.held_out_frames / 2)
                 pieces = measure(
@@ -296,12 +296,12 @@ class StrengthSearch:
             both = self.reused_sums and pieces is unmerged
             return _split(pieces, moved[area], merged, self.optics, first, settings, both=both)
 
-        areas = _chosen(image, self.scale, side, good, settings.most_parts)
+        areas = _chosen_areas(image, self.scale, side, good, settings.most_parts)
         return [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
 
-    def _part_at_rest(
+    def _fold_at_rest(
         self, part: Clip, path: Trajectory, first: Float[Array, "H W"], gain: Float[np.ndarray, "h w"] | None
-    ) -> "_Part | None":
+    ) -> "_Fold | None":
         """The part of a scene at rest, where all intervals of a pixel that are kept make one sample, and all that are
         held out another; None where there are too few. The error differs from that of single intervals by a number that
         is the same for all pictures."""
@@ -327,10 +327,10 @@ class StrengthSearch:
         kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends, settings=self.settings))
         if min(np.count_nonzero(some.weight) for some in (kept, held)) < self.settings.least_samples:
             return None
-        return _Part(kept, held, first, self.optics)
+        return _Fold(kept, held, first, self.optics)
 
 
-def _chosen(
+def _chosen_areas(
     image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"], most: int
 ) -> list[tuple[slice, slice]]:
     """Rows and columns, sensor pixels, of the parts that strengths are tried on.
@@ -378,9 +378,9 @@ def _split(
     settings: StrengthSettings,
     *,
     both: bool,
-) -> _Part | None:
+) -> _Fold | None:
     """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `both`: as
-    of `_Part`."""
+    of `_Fold`."""
     held = held_out(taken.padded, moved, merged=merged, settings=settings)
     weight = np.asarray(taken.placed.weight)
     counted = np.flatnonzero(held & (weight > 0))
@@ -391,7 +391,7 @@ def _split(
     chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
     chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
     kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Part(kept, chosen, first, optics, both=both)
+    return _Fold(kept, chosen, first, optics, both=both)
 
 
 def longest_merged(
@@ -419,14 +419,14 @@ def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None, settin
 
 
 @eqx.filter_jit
-def _missed(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
+def _weighted_error(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
     """Sums of the weighted squares by which a picture misses the held-out samples, and of their weights."""
     error = held.read(term.blurred(image)) - held.value
     return jnp.stack([jnp.sum(held.weight * error**2), jnp.sum(held.weight)])
 
 
 @eqx.filter_jit
-def _together(some: DataTerm, others: DataTerm) -> DataTerm:
+def _added(some: DataTerm, others: DataTerm) -> DataTerm:
     """The term of some samples and of others."""
 
     def sums(of: DataTerm) -> Any:

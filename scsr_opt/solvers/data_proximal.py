@@ -34,7 +34,7 @@ class DataProximal(ProximalGradient):
     **Fields:** `iterations`, `tolerance`: as of every `Solver`.
 
     **Errors:** `InputError`, when a run begins, for a prior that is not smooth and convex (`Prior.lipschitz`), or for
-    data that are not `DataTerm.apart`.
+    data that are not `DataTerm.block_diagonal`.
     """
 
     # λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
@@ -54,7 +54,7 @@ class DataProximal(ProximalGradient):
             )
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
-        if not problem.data.apart:
+        if not problem.data.block_diagonal:
             raise InputError(
                 "DataProximal was given data whose pixels overlap, as where something moves, a lens blurs or the "
                 "sensor grid is not used (Shortcuts); it is for scenes at rest: take FISTA, which serves all."

@@ -25,7 +25,7 @@ from scsr_opt.pipeline.settings import StrengthSettings
 from scsr_opt.pipeline.strength import (
     StrengthSearch,
     ValidatedStrength,
-    _chosen,
+    _chosen_areas,
     _vertex,
     noise_of_mean,
     strength_of_noise,
@@ -290,27 +290,27 @@ def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
     ],
 )
 def test_of_a_small_even_picture_one_part_serves_in_the_middle(shape, side, found):
-    parts = _chosen(jnp.ones((2 * shape[0], 2 * shape[1])), 2, side, np.ones(shape, bool), 3)
+    parts = _chosen_areas(jnp.ones((2 * shape[0], 2 * shape[1])), 2, side, np.ones(shape, bool), 3)
     assert parts == [found]
 
 
 def test_a_plain_a_middling_and_a_rich_part_are_chosen():
     contrast = np.repeat([0.1, 0.4, 1.0], 40).astype(np.float32)
     image = jnp.asarray(contrast * np.random.default_rng(0).random((120, 120), np.float32))
-    assert [columns.start for _, columns in _chosen(image, 1, 40, np.ones((120, 120), bool), 3)] == [0, 40, 80]
+    assert [columns.start for _, columns in _chosen_areas(image, 1, 40, np.ones((120, 120), bool), 3)] == [0, 40, 80]
 
 
 def test_bad_pixels_are_not_looked_at():
     image = jnp.asarray(np.random.default_rng(0).random((120, 120), np.float32))
     good = np.ones((120, 120), bool)
     good[:, 60:] = False
-    assert all(columns.start < 60 for _, columns in _chosen(image, 1, 40, good, 3))
+    assert all(columns.start < 60 for _, columns in _chosen_areas(image, 1, 40, good, 3))
     good[:, 20:] = False
     good[20:] = False
-    assert _chosen(image, 1, 40, good, 3) == [(slice(0, 40), slice(0, 40))]
+    assert _chosen_areas(image, 1, 40, good, 3) == [(slice(0, 40), slice(0, 40))]
     corners = np.zeros((65, 65), bool)
     corners[::64, ::64] = True  # every part has less than its share of these
-    assert len(_chosen(image[:65, :65], 1, 64, corners, 3)) == 1
+    assert len(_chosen_areas(image[:65, :65], 1, 64, corners, 3)) == 1
 
 
 def test_find_all_chosen_parts_have_a_say(monkeypatch):
@@ -321,7 +321,7 @@ def test_find_all_chosen_parts_have_a_say(monkeypatch):
     found = []
     for chosen in ([textured], [textured, plain], [plain]):
         parts = [(slice(0, 120), columns) for columns in chosen]
-        monkeypatch.setattr("scsr_opt.pipeline.strength._chosen", lambda *_, parts=parts: parts)
+        monkeypatch.setattr("scsr_opt.pipeline.strength._chosen_areas", lambda *_, parts=parts: parts)
         found.append(validated(clip))
     assert 1.2 * found[0] < found[1] < found[2] / 1.2
 

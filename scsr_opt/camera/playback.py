@@ -10,17 +10,15 @@ Three ways to read intensity off the spikes around a key frame. All return inten
 TFP and TFI: Zhu, Dong, Huang, Tian, "A retina-inspired sampling method for visual texture reconstruction", ICME 2019.
 """
 
-import math
-import operator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from scsr_opt._arrays import as_array
+from scsr_opt._validation import number, whole
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.sources import as_spikes, checked_shape
-from scsr_opt.errors import InputError
 
 WINDOW = 21
 """Frames that `tfp` averages over by default, where the recording is that long."""
@@ -48,12 +46,8 @@ def tfp(
     many frames, or `white_rate` cannot be used.
     """
     recording, key, rate = _checked(spikes, key, white_rate)
-    length = min(WINDOW, len(recording)) if window is None else _index(window, "window")
-    if not 1 <= length <= len(recording):
-        raise InputError(
-            f"window is {window}, but it must be a whole number of frames, from 1 to the {len(recording)} that there "
-            f"are."
-        )
+    frames = len(recording)
+    length = min(WINDOW, frames) if window is None else whole(window, "window", 1, frames)
     start = key - length // 2
     part = recording[max(start, 0) : start + length]
     return (part.sum(0, dtype=np.float64) / (len(part) * rate)).astype(np.float32)
@@ -133,17 +127,16 @@ def stp(
     **Raises:** `InputError` if `spikes` are not such an array, `key` is outside, or a parameter is out of range.
     """
     recording, key, rate = _checked(spikes, key, white_rate)
-    if _index(history, "history") < 0:
-        raise InputError(f"history is {history}, but it must be a whole number of frames, 0 or more.")
+    history = whole(history, "history", 0)
     synapse = _Synapse(
         recording.shape[1] * recording.shape[2],
-        _between("base_release", base_release, 1.0, "a part of the resources"),
-        _between("facilitation", facilitation, 1.0, "a part of what is left to facilitate"),
-        _between("depression_time", depression_time, math.inf, "in spike frames"),
-        _between("facilitation_time", facilitation_time, math.inf, "in spike frames"),
+        number(base_release, "base_release", lambda v: 0 < v < 1, "between 0 and 1, a share of the resources"),
+        number(facilitation, "facilitation", lambda v: 0 < v < 1, "between 0 and 1, a share of what is left"),
+        number(depression_time, "depression_time", lambda v: v > 0, "above 0, in spike frames"),
+        number(facilitation_time, "facilitation_time", lambda v: v > 0, "above 0, in spike frames"),
     )
     last = np.full(synapse.size, -1)
-    for t in range(max(key - operator.index(history), 0), key):
+    for t in range(max(key - history, 0), key):
         fired = np.flatnonzero(recording[t])
         known = fired[last[fired] >= 0]
         synapse.receive(known, (t - last[known]).astype(np.float64))
@@ -234,8 +227,8 @@ def _search(recording: UInt8[np.ndarray, "T h w"], times: range, missing: int) -
 
 def _longest_known_gap(trains: UInt8[np.ndarray, "T n"], key: int) -> Float[np.ndarray, " n"]:
     """Frames by which to bound pixels that have no spike before `key`, or none from it on."""
-    frames, number = trains.shape
-    if number == 0:
+    frames, count = trains.shape
+    if count == 0:
         return np.zeros(0)
     silent_after = ~trains[key:].any(0)
     seen_from_end = np.where(silent_after, trains[::-1], trains)  # as if the key always lay in the first, cut-off gap
@@ -257,28 +250,4 @@ def _checked(spikes: Any, key: Any, white_rate: Any) -> tuple[UInt8[np.ndarray, 
     array = as_array(spikes, "The array of spikes")
     checked_shape(array.shape, "The array of spikes")
     recording = as_spikes(array, "The array of spikes")
-    frame = _index(key, "key")
-    if not 0 <= frame < len(recording):
-        raise InputError(
-            f"Key frame {frame} is not in the recording of {len(recording)} frames: choose one from 0 to "
-            f"{len(recording) - 1}."
-        )
-    return recording, frame, checked_white_rate(white_rate)
-
-
-def _index(value: Any, name: str) -> int:
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise InputError(f"{name} is {value!r}, but frames are counted in whole numbers.") from None
-
-
-def _between(name: str, value: Any, below: float, unit: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not 0 < number < below:
-        limit = "above 0" if below == math.inf else f"between 0 and {below:g}"
-        raise InputError(f"{name} is {value!r}, but it must be a finite number {limit}, {unit}.")
-    return number
+    return recording, whole(key, "key", 0, len(recording) - 1), checked_white_rate(white_rate)

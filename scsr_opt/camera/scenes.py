@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.linalg import expm
 
+from scsr_opt._validation import number
 from scsr_opt.camera.pictures import Picture, as_intensity
 from scsr_opt.errors import InputError
 
@@ -362,15 +363,7 @@ def _middle(size: tuple[int, int]) -> tuple[float, float]:
 
 
 def _number(value: Any, name: str, unit: str, most: float = _FARTHEST) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not abs(number) <= most:
-        raise InputError(
-            f"{name} is {value!r}, but it must be a finite number, {unit}, of {most:.3g} at most either way."
-        )
-    return number
+    return number(value, name, lambda v: abs(v) <= most, f"from {-most:.3g} to {most:.3g}, {unit}")
 
 
 def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:

@@ -7,30 +7,18 @@ frames.
 """
 
 import math
-import operator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import gaussian_filter
 
+from scsr_opt._validation import number, whole
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.scenes import Scene
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress, check_progress
-
-
-def _real(value: Any) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan
-
-
-def _check(name: str, value: Any, good: bool, allowed: str) -> None:
-    if not good:
-        raise InputError(f"{name} is {value!r}, but it must be a number {allowed}.")
 
 
 @dataclass(frozen=True)
@@ -48,7 +36,7 @@ class Sensor:
       mean.
     - `fixed_pattern`: standard deviation of the pixels' gain about 1 (normal, cut at 0). The gain multiplies light, not
       dark charge. Real recordings: about 0.06.
-    - `dead`, `hot`: fractions of the pixels that never fire, and that fire in every frame; to the nearest whole pixel.
+    - `dead`, `hot`: shares of the pixels that never fire, and that fire in every frame; to the nearest whole pixel.
     - `psf_sigma`: standard deviation of the optics' Gaussian blur, HR pixels.
 
     **Raises:** `InputError` if one is out of range.
@@ -71,28 +59,15 @@ class Sensor:
     def __post_init__(self):
         checked_white_rate(self.white_rate)
         fewest, most = self.PHOTONS
-        _check(
-            "photons",
-            self.photons,
-            fewest <= _real(self.photons) <= most or _real(self.photons) == math.inf,
-            f"from {fewest:g} to {most:g}, in photons per frame of white, or infinite",
-        )
-        _check(
-            "dark_rate",
-            self.dark_rate,
-            0 <= _real(self.dark_rate) <= self.MOST_DARK_RATE,
-            f"from 0 to {self.MOST_DARK_RATE:g}, as an intensity (1 = white)",
-        )
-        _check(
-            "fixed_pattern",
-            self.fixed_pattern,
-            0 <= _real(self.fixed_pattern) < 1,
-            "from 0 to below 1, a relative spread",
-        )
-        _check("psf_sigma", self.psf_sigma, 0 <= _real(self.psf_sigma) < math.inf, "0 or more, in HR pixels")
+        if self.photons != math.inf:
+            limits = f"from {fewest:g} to {most:g}, in photons per frame of white, or infinite"
+            number(self.photons, "photons", lambda v: fewest <= v <= most, limits)
+        darkest = self.MOST_DARK_RATE
+        number(self.dark_rate, "dark_rate", lambda v: 0 <= v <= darkest, f"from 0 to {darkest:g}, as an intensity")
+        number(self.fixed_pattern, "fixed_pattern", lambda v: 0 <= v < 1, "from 0 to below 1, a relative spread")
+        number(self.psf_sigma, "psf_sigma", lambda v: v >= 0, "of at least 0, in HR pixels")
         for name in ("dead", "hot"):
-            value = getattr(self, name)
-            _check(name, value, 0 <= _real(value) <= 1, "from 0 to 1, a fraction of the pixels")
+            number(getattr(self, name), name, lambda v: 0 <= v <= 1, "from 0 to 1, a share of the pixels")
         if self.dead + self.hot > 1:
             raise InputError(
                 f"dead = {self.dead:g} and hot = {self.hot:g} are more than all pixels together: lower one of them."
@@ -196,7 +171,7 @@ def simulate(
     sensor pixel or not known for all frames, the sensor's optics blur over more than the scene, or `seed` is negative.
     """
     check_progress(progress)
-    scale, frames = _whole(scale, "scale", 1), _whole(frames, "frames", 1)
+    scale, frames = whole(scale, "scale", 1), whole(frames, "frames", 1)
     h, w = scene.size[0] // scale, scene.size[1] // scale
     if h == 0 or w == 0:
         raise InputError(
@@ -214,7 +189,7 @@ def simulate(
             f"{scene.span[1]:g} only: ask for {math.floor(scene.span[1]) + 1} frames or fewer, or slow it down."
         )
     phase_rng, gain_rng, bad_rng, noise_rng = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(_whole(seed, "seed", 0)).spawn(4)
+        np.random.default_rng(child) for child in np.random.SeedSequence(whole(seed, "seed", 0)).spawn(4)
     )
     charge = phase_rng.random((h, w))  # in units of θ
     gain = np.maximum(1 + sensor.fixed_pattern * gain_rng.standard_normal((h, w)), 0)
@@ -263,21 +238,11 @@ def _gathered(light: Float[np.ndarray, "h w"], sensor: Sensor, rng: np.random.Ge
 def _bad_pixels(
     sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator
 ) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    number = shape[0] * shape[1]
-    order = rng.permutation(number)
-    dead = round(sensor.dead * number)
-    hot = min(round(sensor.hot * number), number - dead)
-    masks = np.zeros((2, number), bool)
+    pixels = shape[0] * shape[1]
+    order = rng.permutation(pixels)
+    dead = round(sensor.dead * pixels)
+    hot = min(round(sensor.hot * pixels), pixels - dead)
+    masks = np.zeros((2, pixels), bool)
     masks[0, order[:dead]] = True
     masks[1, order[dead : dead + hot]] = True
     return masks[0].reshape(shape), masks[1].reshape(shape)
-
-
-def _whole(value: Any, name: str, least: int) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = least - 1
-    if number < least:
-        raise InputError(f"{name} is {value!r}, but it must be a whole number of at least {least}.")
-    return number

@@ -59,7 +59,10 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: Static(PICTURE, key=np.inf), "key is inf; it must be a finite number from .*, a time in spike frames"),
     (lambda: Translation(PICTURE, 3.0), r"velocity is 3.0, but it must be two finite numbers \(rows, columns\)"),
     (lambda: Translation(PICTURE, (1.0, np.nan)), "velocity is .* two finite numbers .*in HR pixels per frame"),
-    (lambda: Affine(PICTURE, rotation=np.nan), "rotation is nan; it must be a finite number from -6.28 to 6.28, radians"),
+    (
+        lambda: Affine(PICTURE, rotation=np.nan),
+        "rotation is nan; it must be a finite number from -6.28 to 6.28, radians",
+    ),
     (lambda: Affine(PICTURE, zoom=np.inf), "zoom is inf"),
     (lambda: Affine(PICTURE, zoom=1e200), r"zoom is 1e\+200; it must be a finite number from -1 to 1"),
     (lambda: Translation(PICTURE, (0.0, -1e300)), r"velocity is .* of 1e\+06 at most either way"),

@@ -20,7 +20,7 @@ from scsr_opt._validation import number, whole
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.sources import as_spikes, checked_shape
 
-WINDOW = 21
+WINDOW_FRAMES = 21
 """Frames that `tfp` averages over by default, where the recording is that long."""
 
 
@@ -47,7 +47,7 @@ def tfp(
     """
     recording, key, rate = _checked(spikes, key, white_rate)
     frames = len(recording)
-    length = min(WINDOW, frames) if window is None else whole(window, "window", 1, frames)
+    length = min(WINDOW_FRAMES, frames) if window is None else whole(window, "window", 1, frames)
     start = key - length // 2
     part = recording[max(start, 0) : start + length]
     return (part.sum(0, dtype=np.float64) / (len(part) * rate)).astype(np.float32)

@@ -8,11 +8,11 @@ time axis on which frame t sits at t. (Taking the frames a+1 … b instead would
 
 **Ends.** Before its first spike a pixel gathers what its charge then lacked of θ, after its last one what will be left
 over: anything from 0 to θ, ½θ in the mean. Either end is a sample of ½θ over the time that it lasted; a pixel that
-never fired is one of 0 over the whole recording. They are rough, θ/√12, and get `ENDS` of the weight of an interval as
-long. Dark pixels, however, have little else, and without their ends those few that happened to fire twice would decide
-for all. One factor for all ends keeps Σ ω (Y − I) at mean 0 for constant light I of every level (docs/data-term.md),
-which no factor that depends on the sample's own duration or number of spikes does. (`scsr_opt.pipeline.visibility`
-makes ends, too, where a pixel is seen for a part of the recording only.)
+never fired is one of 0 over the whole recording. They are rough, θ/√12, and get `END_WEIGHT` of the weight of an
+interval as long. Dark pixels, however, have little else, and without their ends those few that happened to fire twice
+would decide for all. One factor for all ends keeps Σ ω (Y − I) at mean 0 for constant light I of every level
+(docs/data-term.md), which no factor that depends on the sample's own duration or number of spikes does.
+(`scsr_opt.pipeline.visibility` makes ends, too, where a pixel is seen for a part of the recording only.)
 
 **Windows.** A fixed window of n frames that holds c spikes measures Y = c·θ / n, with an error of up to θ.
 
@@ -30,10 +30,10 @@ from scsr_opt._threads import in_threads
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
 
-ENDS = 0.1
+END_WEIGHT = 0.1
 """Weight of the time before a pixel's first and after its last spike, beside that of as long an interval (measured)."""
 
-RUN = 4
+RUN_FRAMES = 4
 """Frames, at most, of a run of intervals of one frame that is merged."""
 
 # Number of samples from which on working through what only pads them costs more than compiling for another length.
@@ -98,10 +98,10 @@ def spike_intervals(
     *,
     white_rate: float = 0.6,
     shortest: int | Int[np.ndarray, "h w"] = 1,
-    run: int | Int[np.ndarray, "*blocks h w"] = RUN,
+    run: int | Int[np.ndarray, "*blocks h w"] = RUN_FRAMES,
     first_frame: int = 0,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
-    ends: float | int = ENDS,
+    ends: float | int = END_WEIGHT,
 ) -> Samples:
     """Samples from the intervals between spikes, pixel by pixel, then those from the ends (see above).
 
@@ -115,7 +115,7 @@ def spike_intervals(
     - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
     - `shortest`: frames, at least 1; one number or one per pixel. Pixels with T or more come after the others.
     - `run`: frames, at least 1, over which intervals of one frame are merged; 1 leaves each a sample of its own. One
-      number, one per pixel, or (n, h, w), one per pixel for every `RUN` frames, the last of them for all that follow.
+      number, one per pixel, or (n, h, w), one per pixel for every `RUN_FRAMES`, the last of them for all that follow.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
     - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
@@ -160,7 +160,7 @@ def spike_intervals(
 
 
 def mean_light(
-    times: SpikeTimes, begin: int, end: int, *, white_rate: float | int, ends: float | int = ENDS
+    times: SpikeTimes, begin: int, end: int, *, white_rate: float | int, ends: float | int = END_WEIGHT
 ) -> Float[np.ndarray, "*pixels"]:
     """Mean intensity of pixels from frame `begin` to `end` (exclusive), of which these are the spike times: that of all
     samples of `spike_intervals` with `shortest=end - begin`, which are not made for it; 0 where there is none. `ends`,
@@ -189,7 +189,7 @@ def _between(
     follows = (order[1:] - order[:-1] == 1) & (pixel[1:] == pixel[:-1])
     within = np.flatnonzero(follows[1:] & follows[:-1]) + 1
     at = time[within]
-    block = np.minimum(at // RUN, len(runs) - 1)
+    block = np.minimum(at // RUN_FRAMES, len(runs) - 1)
     left_out = within[at % runs[block, pixels[pixel[within]]] != 0]
     order = np.arange(order.size, dtype=np.int32)
     if left_out.size:

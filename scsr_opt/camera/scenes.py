@@ -24,10 +24,10 @@ from scsr_opt._validation import number
 from scsr_opt.camera.pictures import Picture, as_intensity
 from scsr_opt.errors import InputError
 
-KEY = 50.0
+KEY_FRAME = 50.0
 """Key time where none is given: the middle of the simulator's 101 frames."""
 # Of positions, times and speeds: where a picture lies after a million frames is still known to a hundredth of a pixel.
-_FARTHEST = 1e6
+_MOST_COORDINATE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Static(_Still):
     **Arguments:** `picture` (H, W), see `as_intensity`; `key`, spike frames.
     """
 
-    def __init__(self, picture: Any, *, key: float | int = KEY):
+    def __init__(self, picture: Any, *, key: float | int = KEY_FRAME):
         super().__init__(picture, SteadyMotion(), key)
 
 
@@ -135,7 +135,7 @@ class Translation(_Still):
     **Raises:** `InputError` if `velocity` is not two numbers up to a million.
     """
 
-    def __init__(self, picture: Any, velocity: Any, *, key: float | int = KEY):
+    def __init__(self, picture: Any, velocity: Any, *, key: float | int = KEY_FRAME):
         super().__init__(picture, SteadyMotion(_pair(velocity, "velocity", "HR pixels per frame")), key)
 
 
@@ -164,7 +164,7 @@ class Affine(_Still):
         shear: float | int = 0.0,
         drift: Any = (0.0, 0.0),
         centre: Any = None,
-        key: float | int = KEY,
+        key: float | int = KEY_FRAME,
     ):
         still = Picture(picture)
         turn = _number(rotation, "rotation", "radians per frame", math.tau)
@@ -278,7 +278,7 @@ class MovingObject(_Layered):
         *,
         shape: Any = None,
         position: Any = None,
-        key: float | int = KEY,
+        key: float | int = KEY_FRAME,
     ):
         still = as_intensity(picture)
         super().__init__(
@@ -322,7 +322,7 @@ class TurningDisc(_Layered):
         *,
         radius: float | int | None = None,
         centre: Any = None,
-        key: float | int = KEY,
+        key: float | int = KEY_FRAME,
     ):
         behind = as_intensity(background, "The background")
         reach = 0.4 * min(behind.shape) if radius is None else radius
@@ -362,7 +362,7 @@ def _middle(size: tuple[int, int]) -> tuple[float, float]:
     return ((size[0] - 1) / 2, (size[1] - 1) / 2)
 
 
-def _number(value: Any, name: str, unit: str, most: float = _FARTHEST) -> float:
+def _number(value: Any, name: str, unit: str, most: float = _MOST_COORDINATE) -> float:
     return number(value, name, lambda v: abs(v) <= most, f"from {-most:.3g} to {most:.3g}, {unit}")
 
 
@@ -371,10 +371,10 @@ def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
         first, second = (float(v) for v in value)
     except (TypeError, ValueError):
         first = second = math.nan
-    if not (abs(first) <= _FARTHEST and abs(second) <= _FARTHEST):
+    if not (abs(first) <= _MOST_COORDINATE and abs(second) <= _MOST_COORDINATE):
         raise InputError(
-            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of {_FARTHEST:.3g} at "
-            f"most either way."
+            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of "
+            f"{_MOST_COORDINATE:.3g} at most either way."
         )
     return (first, second)
 

@@ -9,7 +9,7 @@ from scsr_opt._arrays import as_array
 
 # Frames that are looked at before what was found in bytes goes to wider numbers: as far as a byte counts. Bytes take a
 # fifth of the time of anything wider.
-BYTE = 255
+BYTE_FRAMES = 255
 
 
 class SpikeTimes(NamedTuple):
@@ -31,8 +31,8 @@ class SpikeTimes(NamedTuple):
         # Both from the far end inwards, so that the larger number is the one that counts, and 0 is none. Choosing by
         # masks takes forty times as long as a maximum.
         since_end, last, count = (np.zeros(spikes.shape[1:], kind) for _ in range(3))
-        for start in range(begin, end, BYTE):
-            stop = min(start + BYTE, end)
+        for start in range(begin, end, BYTE_FRAMES):
+            stop = min(start + BYTE_FRAMES, end)
             until_last, from_first, times = _within(as_bytes(spikes[start:stop]))
             some = times > 0
             np.maximum(last, until_last + kind(start) * some, out=last)
@@ -60,8 +60,8 @@ def second_spikes(
     seen = np.where(wanted, np.uint8(0), np.uint8(2))
     hit, found = (np.zeros(spikes.shape[1:], np.uint8) for _ in range(2))
     frame = np.zeros(spikes.shape[1:], np.int32)
-    for start in range(0, len(spikes), BYTE):
-        for t, now in enumerate(as_bytes(spikes[start : start + BYTE])):
+    for start in range(0, len(spikes), BYTE_FRAMES):
+        for t, now in enumerate(as_bytes(spikes[start : start + BYTE_FRAMES])):
             if t % 8 == 0 and seen.min(initial=2) == 2:
                 break
             np.equal(seen, 1, out=hit.view(bool))

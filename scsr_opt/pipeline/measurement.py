@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from scsr_opt.calibration.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
 from scsr_opt.calibration.settings import GainSettings
-from scsr_opt.camera.samples import RUN, Samples, padded_length
+from scsr_opt.camera.samples import RUN_FRAMES, Samples, padded_length
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.motion.trajectory import SPACING, Changes, Motion, Trajectory, trajectory_of
 from scsr_opt.operators.losses import Loss, robust_factors
@@ -168,14 +168,14 @@ def measure(
 
 @eqx.filter_jit
 def _runs(path: Trajectory, motion_px: float, weight_change: float) -> Int[Array, "blocks h w"]:
-    """Over how many frames intervals of one frame are merged, for every `RUN` frames (`spike_intervals`)."""
+    """Over how many frames intervals of one frame are merged, for every `RUN_FRAMES` frames (`spike_intervals`)."""
     if path.position.shape[0] == 1:
-        return jnp.full(path.visible.shape, RUN, jnp.int8)
-    assert RUN == SPACING  # each run lies between two moments
+        return jnp.full(path.visible.shape, RUN_FRAMES, jnp.int8)
+    assert RUN_FRAMES == SPACING  # each run lies between two moments
     moved, changed = (jnp.diff(of, axis=0) / SPACING for of in (path.position, path.usable))
     down, right = moved[:, 0], moved[:, 1]
     run = jnp.minimum(motion_px / jnp.sqrt(down**2 + right**2), weight_change / jnp.abs(changed))
-    return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN).astype(jnp.int8)
+    return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN_FRAMES).astype(jnp.int8)
 
 
 def _mean_light(clip: Clip, smoothing_px: float) -> Float[np.ndarray, "h w"]:

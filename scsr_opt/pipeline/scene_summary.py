@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.stats import chi2, norm
 
-from scsr_opt.camera.saturation import SATURATED, spike_counts
+from scsr_opt.camera.saturation import SATURATED_SHARE, spike_counts
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.pipeline.settings import SceneSummarySettings
 
@@ -42,7 +42,8 @@ _REASONS = {
     "it hardly moves, or in runs where it fires in every frame",
     TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: all of them are used, and smoothed",
     TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
-    TileKind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
+    TileKind.SATURATED: f"fires in {100 * SATURATED_SHARE:g} % of the frames or more: runs of spikes are one "
+    "measurement",
 }
 
 
@@ -169,7 +170,7 @@ def summarise_scene(
     kind[share < settings.used_share] = TileKind.FAST
     kind[(mean + doubt) * frames < settings.dark_spikes] = TileKind.DARK
     # One spike is of the charge that was there before the first frame.
-    kind[mean - doubt - 1 / frames >= SATURATED] = TileKind.SATURATED
+    kind[mean - doubt - 1 / frames >= SATURATED_SHARE] = TileKind.SATURATED
     return SceneSummary(
         kind=kind,
         merged_for=_tiles(merged_for.astype(np.float32), np.minimum, tile).astype(np.int32),

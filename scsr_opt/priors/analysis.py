@@ -17,9 +17,6 @@ from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.prior import Prior, State
 from scsr_opt.priors.strengths import divisible
 
-# A loop over cycles writes its carry to memory once more each time round: unrolled as a whole where that is short.
-_UNROLL = 2
-
 
 class Analysis(Prior[State], Generic[State]):
     """A prior Ψ(X) = φ(K X), K a linear map and φ convex and simple: the proximal step of its conjugate is known.
@@ -165,7 +162,7 @@ class Analysis(Prior[State], Generic[State]):
 
         # Unrolled, the first picture of a cycle is computed in one pass with the last of the one before.
         (dual, _), _ = jax.lax.scan(
-            ascend, (state, state), _momenta(cycles, image.dtype), unroll=cycles if cycles <= _UNROLL else 1
+            ascend, (state, state), _momenta(cycles, image.dtype), unroll=cycles if cycles <= 2 else 1
         )
         return nearest(image - last * self.adjoint(dual)), dual
 

@@ -27,11 +27,11 @@ from scsr_opt.priors.prior import Prior
 WEIGHTS = Path(__file__).parent / "weights"
 """Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that lists what it was trained on."""
 # Frequencies a side on which the norm of the bank is looked for.
-_GRID = 128
+_FREQUENCIES = 128
 # float32 keeps seven digits, and a file's filters were symmetric before they were rounded.
 _ROUNDING = 1e-5
 # Values that all filters together give for a band of the picture: 1 MB in float32, so that it stays in the cache.
-_BAND = 250_000
+_BAND_VALUES = 250_000
 # What reading raises where a file is cut, changed or of another kind.
 _DAMAGE = (KeyError, ValueError, EOFError, OSError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
 
@@ -130,7 +130,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         count, side, _ = self.filters.shape
         height, width = image.shape
         # On other processors there is one memory, and many small pieces of work are slow.
-        bands = -(-height * width * count // _BAND) if jax.default_backend() == "cpu" else 1
+        bands = -(-height * width * count // _BAND_VALUES) if jax.default_backend() == "cpu" else 1
         rows = -(-height // bands)
         bands = -(-height // rows)
         wide = _mirrored(image, side // 2)
@@ -307,15 +307,17 @@ def _folded(wide: Float[Array, "_ _"], border: int) -> Float[Array, "H W"]:
 def bank_norm_squared(filters: Float[np.ndarray, "C k k"]) -> float:
     """An upper bound on ‖W‖² for pictures of every size, for a bank that mirroring does not change (see the class)."""
     degree = filters.shape[-1] - 1
-    response = np.sum(np.abs(np.fft.rfft2(filters, (_GRID, _GRID))) ** 2, axis=0)
-    return float(response.max() / np.cos(np.pi * degree / _GRID) ** 2)
+    response = np.sum(np.abs(np.fft.rfft2(filters, (_FREQUENCIES, _FREQUENCIES))) ** 2, axis=0)
+    return float(response.max() / np.cos(np.pi * degree / _FREQUENCIES) ** 2)
 
 
 def _check(filters: np.ndarray, knots: np.ndarray, slopes: np.ndarray) -> None:
     name = "RidgeRegulariser"
     shape = filters.shape
-    if len(shape) != 3 or shape[1] != shape[2] or shape[1] % 2 == 0 or shape[1] >= _GRID // 2:
-        raise InputError(f"{name} was given filters of shape {shape}; it needs (C, k, k), k odd, below {_GRID // 2}.")
+    if len(shape) != 3 or shape[1] != shape[2] or shape[1] % 2 == 0 or shape[1] >= _FREQUENCIES // 2:
+        raise InputError(
+            f"{name} was given filters of shape {shape}; it needs (C, k, k), k odd, below {_FREQUENCIES // 2}."
+        )
     if knots.ndim != 2 or knots.shape != slopes.shape or len(knots) != len(filters) or knots.size == 0:
         raise InputError(
             f"{name} was given {len(filters)} filters, knots of shape {knots.shape} and slopes of shape "

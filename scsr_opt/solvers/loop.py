@@ -19,9 +19,9 @@ from scsr_opt.solvers.record import Stage, Status, TileIterations
 from scsr_opt.solvers.solver import Record, Solver, State
 
 # Iterations between two looks from outside. At 20 the loop loses 5 % to being interrupted.
-CHUNK = 20
+CHUNK_ITERATIONS = 20
 # And between two corrections of the problem, each of which costs about as much as they do.
-CORRECTED_AFTER = 4
+CORRECTION_ITERATIONS = 4
 
 
 # Of a picture and a tolerance: a problem with other c and e, or None where the one so far is good enough for both.
@@ -56,7 +56,7 @@ def run(
     - `image`: (H, W), X^(0); `problem.start` if None.
     - `state`: `Outcome.state` (`Solution.state`) of a run of the same solver on the same problem: what follows is what
       would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
-    - `correction`: makes another problem of the picture after every `CORRECTED_AFTER` iterations, and where the
+    - `correction`: makes another problem of the picture after every `CORRECTION_ITERATIONS` iterations, and where the
       tolerance is met; only where it makes none the run ends there.
     - `progress`: receives the number of iterations done, by chunks.
     - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
@@ -82,7 +82,7 @@ def run(
     elif similar is not None:
         _check_state(solver, problem, similar)
         state = _warm(solver, problem, similar)
-    between = CHUNK if correction is None else CORRECTED_AFTER
+    between = CHUNK_ITERATIONS if correction is None else CORRECTION_ITERATIONS
     chunk = 1 if keep_images else between
 
     def advanced(before: Any, most: int) -> tuple[Any, ...]:

@@ -27,7 +27,7 @@ from scipy.ndimage import maximum_filter
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.progress import NoProgress, Progress, check_progress
-from scsr_opt.solvers.loop import CORRECTED_AFTER, Correction, Outcome, run
+from scsr_opt.solvers.loop import CORRECTION_ITERATIONS, Correction, Outcome, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
 from scsr_opt.solvers.record import Stage, Status, TileIterations
@@ -171,14 +171,14 @@ def _run(
             corrected(state.image, enough)
             continue
         if active.any():
-            state, ended = whole(0.0, min(left(), CORRECTED_AFTER), state=state)
+            state, ended = whole(0.0, min(left(), CORRECTION_ITERATIONS), state=state)
             status = status if ended.usable else ended
             continue
         if corrected(state.image, enough) is not None:
             stale = True
             continue
         residual = math.inf
-        for _ in range(min(left(), CORRECTED_AFTER)):
+        for _ in range(min(left(), CORRECTION_ITERATIONS)):
             following, *found = _step(steps, current, state, side)
             record, residuals = jax.device_get(found)
             if not np.isfinite(sum(record[:3])):

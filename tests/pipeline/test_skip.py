@@ -10,7 +10,7 @@ from skimage import data
 
 from scsr_opt import Shortcuts, Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, Windows, simulate
-from scsr_opt.camera.saturation import SATURATED
+from scsr_opt.camera.saturation import SATURATED_SHARE
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
@@ -338,7 +338,7 @@ def test_summarise_scene_few_frames_do_not_tell_saturation():
 
 @pytest.mark.parametrize(
     ("kind", "limit", "beyond"),
-    [(TileKind.DARK, SceneSummarySettings().dark_spikes / 64, 3 / 64), (TileKind.SATURATED, SATURATED, 0.95)],
+    [(TileKind.DARK, SceneSummarySettings().dark_spikes / 64, 3 / 64), (TileKind.SATURATED, SATURATED_SHARE, 0.95)],
 )
 def test_summarise_scene_false_alarms_at_the_limits_are_as_rare_as_said(kind, limit, beyond):
     """The false-alarm rate of 0.1 % holds at the limit itself; what is well beyond it is told."""

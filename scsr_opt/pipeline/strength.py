@@ -103,63 +103,58 @@ class ValidatedStrength(NamedTuple):
     term: DataTerm | None = None
 
 
+class _Split(NamedTuple):
+    """Samples of a part of the picture, split in two.
+
+    **Fields:** `kept`, those that a picture is made from; `held`, those that it has to predict; `image`, X^(0) of the
+    part; `reused`: whether M and c of both are wanted by the solve that follows.
+    """
+
+    kept: PlacedSamples
+    held: PlacedSamples
+    image: Float[Array, "H W"]
+    reused: bool = False
+
+
 class _Fold:
-    """A part of the picture, with its samples split in two: a picture is made from one and has to predict the other.
+    """A part of the picture on which strengths are tried: pictures of the kept samples have to predict the others.
 
     **Attributes:** `image`, the last picture, (H, W).
     """
 
-    def __init__(
-        self,
-        kept: PlacedSamples,
-        held: PlacedSamples,
-        first: Float[Array, "H W"],
-        optics: LinearOperator | None,
-        *,
-        both: bool = False,
-    ):
-        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0); `both`: whether M
-        and c of the samples to predict are summed, too, for `term`."""
-        self.image, self._first = first, first
-        self._kept, self._held = kept, held
-        self._sums = in_threads(partial(accumulate, optics=optics), [kept, held] if both else [kept])
-        self._plain = self._term = self._sums[0]
+    def __init__(self, split: _Split, optics: LinearOperator | None, solver: Solver, prior: Prior, strength: float):
+        """The motion during exposures, if they are long, is corrected for by pictures of this strength."""
+        self.image, self._split, self._solver, self._prior = split.image, split, solver, prior
+        summed = [split.kept, split.held] if split.reused else [split.kept]
+        self._sums = in_threads(partial(accumulate, optics=optics), summed)
+        plain = Problem(self._sums[0], prior, jnp.asarray(strength, jnp.float32))
+        self._plain = self._term = solver.prepared(plain).data
         self._states: dict[float, Any] = {}
+        for _ in range(2 if split.kept.finest > 1 else 0):
+            self._solve(strength)
+            self._term = with_exposure(self._plain, split.kept, self.image)
 
-    def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
+    def _solve(self, strength: float) -> None:
         """Makes the picture of this strength; it starts at the duals of the nearest one so far."""
-        problem = Problem(self._term, prior, jnp.asarray(strength, jnp.float32))
+        problem = Problem(self._term, self._prior, jnp.asarray(strength, jnp.float32))
         nearest = min(self._states, key=lambda other: abs(math.log(other / strength)), default=None)
         similar = None if nearest is None else self._states[nearest]
-        state = run(solver, problem, self._first, similar=similar).state
-        self._states[strength], self.image = solver.kept(state), solver.image(state)
+        state = run(self._solver, problem, self._split.image, similar=similar).state
+        self._states[strength], self.image = self._solver.kept(state), self._solver.image(state)
 
     @property
     def begun(self) -> bool:
         """True once there is a picture that others can start from."""
         return bool(self._states)
 
-    def correct_exposures(self, solver: Solver, prior: Prior, strength: float) -> None:
-        """Corrects for the motion during exposures, if they are long, by pictures of this strength; called first."""
-        plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
-        self._plain = self._term = solver.prepared(plain).data
-        for _ in range(2 if self._kept.finest > 1 else 0):
-            self.solve(solver, prior, strength)
-            self._term = with_exposure(self._plain, self._kept, self.image)
-
-    def error(self) -> Float[Array, "2"]:
-        """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
-        return _weighted_error(self._held, self._plain, self.image)
+    def error(self, strength: float) -> Float[np.ndarray, "2"]:
+        """Weighted sum of squares by which the picture of this strength misses the held-out samples, and of weights."""
+        self._solve(strength)
+        return np.asarray(_weighted_error(self._split.held, self._plain, self.image))
 
     def term(self) -> DataTerm | None:
         """M, c and e of all its samples; None where those of the held-out ones were not summed."""
         return _added(*self._sums) if len(self._sums) == 2 else None
-
-
-def _error_at(solver: Solver, prior: Prior, strength: float, part: _Fold) -> Float[np.ndarray, "2"]:
-    """`_Fold.error` of the picture of this strength, (2,)."""
-    part.solve(solver, prior, strength)
-    return np.asarray(part.error())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +201,7 @@ class StrengthSearch:
         settings = self.settings
         noise = noise_of_mean(clip, settings) if self.noise is None else self.noise
         least = strength_of_noise(noise, self.scale, self.prior, settings)
-        parts = self._parts(clip, motion, measurements, image)
+        parts = self._splits(clip, motion, measurements, image)
         if not parts:
             return ValidatedStrength(least)
         # A prior that is used by its gradient need not have a proximal step.
@@ -215,17 +210,15 @@ class StrengthSearch:
         ridge = isinstance(self.prior, RidgeRegulariser)
         stand_in = HuberTotalVariation() if ridge else self.prior
         share = relative_strength(self.prior) / relative_strength(stand_in)
-        folds = [part for _, part in parts]
+        folds = in_threads(lambda part: _Fold(part[1], self.optics, solver, stand_in, least / share), parts)
         whole = folds[0].image.shape == image.shape
         errors: dict[float, float] = {}
         pictures: dict[float, Float[Array, "H W"]] = {}
 
-        in_threads(lambda part: part.correct_exposures(solver, stand_in, least / share), folds)
-
         def error(factor: float) -> float:
             """Mean square by which held-out samples are missed at `factor` times the strength by noise."""
             if factor not in errors:
-                sums = in_threads(partial(_error_at, solver, stand_in, least * factor / share), folds)
+                sums = in_threads(lambda fold: fold.error(least * factor / share), folds)
                 squares, weights = np.sum(sums, 0)
                 errors[factor] = float(squares / weights)
                 if whole:
@@ -256,10 +249,11 @@ class StrengthSearch:
             times = max(at_least, raised_by * settings.ridge_factor * best**settings.ridge_exponent)
         return ValidatedStrength(least * times, near, term)
 
-    def _parts(
+    def _splits(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
-    ) -> list[tuple[tuple[slice, slice], "_Fold"]]:
-        """Parts of the picture with their rows and columns, sensor pixels; none where too few samples are held out."""
+    ) -> list[tuple[tuple[slice, slice], _Split]]:
+        """Rows and columns, sensor pixels, of parts of the picture, with their samples split; none where too few
+        samples are held out."""
         settings, side = self.settings, _side_of_parts(clip, self.scale, self.optics, self.settings)
         good = np.ones(clip.shape, bool) if clip.bad_pixels is None else ~clip.bad_pixels
         moved = motion.moved(len(clip.spikes))
@@ -270,7 +264,7 @@ class StrengthSearch:
         # Held-out intervals must not be merged with others.
         unmerged = None if known is None or (known.merged_for > 1).any() else known
 
-        def made(area: tuple[slice, slice]) -> _Fold | None:
+        def made(area: tuple[slice, slice]) -> _Split | None:
             # Sums of few pixels are too few to tell.
             merge = self.merged_intervals and int(good[area].sum()) >= settings.least_samples
             pieces, part, first, merged = unmerged, clip.part(*area), image[_scaled(area, self.scale)], False
@@ -279,7 +273,7 @@ class StrengthSearch:
                 # No more is merged than what is held out as a whole, if that holds intervals enough.
                 if merge and isinstance(self.sampling, Intervals):
                     if on_sensor and self.sampling.noise is None:
-                        return self._fold_at_rest(part, path.part(*area), first, gain)
+                        return self._split_at_rest(part, path.part(*area), first, gain)
                     frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
                     merged = bool(frames_each.mean() <= settings.held_out_frames / 2)
                 pieces = measure(
@@ -293,15 +287,15 @@ class StrengthSearch:
                     on_sensor=self.merged_intervals,
                     settings=self.sampling_settings,
                 )
-            both = self.reused_sums and pieces is unmerged
-            return _split(pieces, moved[area], merged, self.optics, first, settings, both=both)
+            reused = self.reused_sums and pieces is unmerged
+            return _split(pieces, moved[area], merged, first, settings, reused=reused)
 
         areas = _chosen_areas(image, self.scale, side, good, settings.most_parts)
         return [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
 
-    def _fold_at_rest(
+    def _split_at_rest(
         self, part: Clip, path: Trajectory, first: Float[Array, "H W"], gain: Float[np.ndarray, "h w"] | None
-    ) -> "_Fold | None":
+    ) -> _Split | None:
         """The part of a scene at rest, where all intervals of a pixel that are kept make one sample, and all that are
         held out another; None where there are too few. The error differs from that of single intervals by a number that
         is the same for all pictures."""
@@ -327,7 +321,7 @@ class StrengthSearch:
         kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends, settings=self.settings))
         if min(np.count_nonzero(some.weight) for some in (kept, held)) < self.settings.least_samples:
             return None
-        return _Fold(kept, held, first, self.optics)
+        return _Split(kept, held, first)
 
 
 def _chosen_areas(
@@ -373,14 +367,13 @@ def _split(
     taken: Measurements,
     moved: Float[np.ndarray, "h w"],
     merged: bool,
-    optics: LinearOperator | None,
     first: Float[Array, "H W"],
     settings: StrengthSettings,
     *,
-    both: bool,
-) -> _Fold | None:
-    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `both`: as
-    of `_Fold`."""
+    reused: bool,
+) -> _Split | None:
+    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `reused`:
+    as of `_Split`."""
     held = held_out(taken.padded, moved, merged=merged, settings=settings)
     weight = np.asarray(taken.placed.weight)
     counted = np.flatnonzero(held & (weight > 0))
@@ -391,7 +384,7 @@ def _split(
     chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
     chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
     kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Fold(kept, chosen, first, optics, both=both)
+    return _Split(kept, chosen, first, reused)
 
 
 def longest_merged(

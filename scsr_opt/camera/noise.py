@@ -77,7 +77,7 @@ class Noise(eqx.Module):
         # Light that cannot be told from none would get any weight.
         darkest = max(float(np.median(level)), 1e-3) / 20
         factor = 1 / np.maximum(self.variance(span, np.maximum(level, darkest)), 1e-12)
-        weight = samples.weight * factor[samples.row, samples.column]
+        weight = np.asarray(samples.weight) * factor[samples.row, samples.column]
         total = weight.sum()
         return (weight * (samples.weight.sum() / total) if total > 0 else weight).astype(np.float32)
 

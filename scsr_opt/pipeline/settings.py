@@ -168,8 +168,8 @@ class SequenceSettings(Settings):
     5 to 100 frames."""
     contradicted_factor: float = 4.2
     """A motion is estimated anew where the share of the pixels that contradict it has grown by this factor, and by
-    `contradicted_share`. On that car it grew from 6 % by 1.3 to 4.2 after 5 to 95 frames; a turning disc lost 0.3 dB up
-    to a factor of 1.6, and 0.5 at 4.5."""
+    `contradicted_share`. On that car, whose motion lasts, it grew from 6 % by factors of 1.3 to 4.2 after 5 to 95
+    frames."""
     contradicted_share: float = 0.005
     """Share of all pixels that has to contradict it in any case."""
     tolerance_factor: float = 2.0

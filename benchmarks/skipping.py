@@ -30,7 +30,7 @@ from scsr_opt.operators import Aperture
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.measurement import measure
-from scsr_opt.pipeline.scene_summary import TILE
+from scsr_opt.pipeline.settings import SceneSummarySettings
 
 
 class Case(NamedTuple):
@@ -80,7 +80,7 @@ def unskipped(
 ) -> Callable[[Float[np.ndarray, "H W"]], float]:
     """The objective, of pictures, that nothing was skipped in."""
     height, width = clip.shape
-    placed = measure(clip, motion, scale=scale, sampling=Intervals(), gain=gain, merge=False).placed
+    placed = measure(clip, motion, scale=scale, sampling=Intervals(), gain=gain, merged_intervals=False).placed
     aperture, prior = Aperture((scale * height, scale * width), scale), default_prior(scale)
 
     def objective(image: Float[np.ndarray, "H W"]) -> float:
@@ -93,7 +93,7 @@ def unskipped(
 
 def tile_change(first: Float[np.ndarray, "H W"], second: Float[np.ndarray, "H W"], scale: int) -> float:
     """The largest change of a tile's mean, in 1/255 of white."""
-    side = TILE * scale
+    side = SceneSummarySettings().tile_px * scale
     rows, columns = (range(0, length, side) for length in first.shape)
     change = (second - first) * 255
     return max(abs(float(change[r : r + side, c : c + side].mean())) for r in rows for c in columns)

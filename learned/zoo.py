@@ -58,10 +58,10 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.progress import Progress, check_progress
-from scsr_opt.solvers.loop import Solver
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.record import Stage, Status
+from scsr_opt.solvers.solver import Solver
 
 CHECKPOINTS = checkpoint.SHIPPED
 """Where the shipped weights are."""

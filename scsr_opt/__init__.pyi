@@ -4,6 +4,7 @@ from .motion.estimators.automatic import estimate_motion
 from .pipeline.options import Options, Shortcuts
 from .pipeline.reconstruct import assemble, reconstruct
 from .pipeline.sequence import reconstruct_sequence
+from .pipeline.settings import PipelineSettings
 from .pipeline.solution import Diagnostics, Solution
 from .solvers.record import Stage, Status
 
@@ -11,6 +12,7 @@ __all__ = [
     "Diagnostics",
     "InputError",
     "Options",
+    "PipelineSettings",
     "Recording",
     "Shortcuts",
     "Solution",

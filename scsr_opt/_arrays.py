@@ -1,4 +1,4 @@
-"""Arrays that users hand in, read at one door: never without their mask, and never raw where they cannot be read."""
+"""Arrays of users, read in one place: a mask is never ignored, and an array that cannot be read is named."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ def as_array(value: Any, name: str) -> np.ndarray:
     """
     if _masked(value):
         raise InputError(
-            f"{name} is a masked array, whose mask would be ignored; hand in array.filled(value), and mark pixels that "
+            f"{name} is a masked array, whose mask would be ignored; give array.filled(value), and mark pixels that "
             f"must not be used by bad_pixels."
         )
     try:
@@ -32,7 +32,7 @@ def as_array(value: Any, name: str) -> np.ndarray:
             ) from None
         why = " ".join(str(error).split()).split(". ")[0].rstrip(".")
         raise InputError(
-            f"{name} is a {type(value).__name__} that NumPy cannot read ({type(error).__name__}: {why}); hand in a "
+            f"{name} is a {type(value).__name__} that NumPy cannot read ({type(error).__name__}: {why}); give a "
             f"NumPy array, for example tensor.detach().cpu().numpy()."
         ) from error
 

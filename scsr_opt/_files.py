@@ -1,7 +1,7 @@
 """Output files that are either whole or not there.
 
 What stands in the way of a file is found before the work whose outcome it is to hold (`check_writable`); what comes up
-only while it is written, such as a full disk, is said with the file's name and leaves what was there before.
+only while it is written, such as a full disk, names the file and leaves what was there before.
 """
 
 import os
@@ -65,7 +65,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     there is something else than a file.
     """
     target = _target(path)
-    # Only trying tells: permissions say nothing of a disk mounted read-only.
+    # Only trying shows it: permissions do not show a disk mounted read-only.
     trial = _beside(target, Path(path).suffix)
     try:
         trial.touch(exist_ok=False)
@@ -86,7 +86,7 @@ def _target(path: str | os.PathLike[str]) -> Path:
     except OSError as error:
         raise InputError(f"Cannot write {path}: {_reason(error)}.") from error
     else:
-        if target.is_symlink():  # `realpath` has not come to its end
+        if target.is_symlink():  # `realpath` did not resolve it
             raise InputError(f"Cannot write {path}: it is a symbolic link that leads to itself; remove it first.")
         if target.is_dir():
             raise InputError(f"Cannot write {path}: it is a folder; name a file in it.")

@@ -9,7 +9,7 @@ from scsr_opt.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Numbers that a stage hinges on, each a field with a sentence that says its unit and what it decides.
+    """Numbers that a stage hinges on, each a field with a sentence on its unit and what it decides.
 
     **Raises:** `InputError` for a field that is not what its default is: a whole number, a finite number that is not
     negative, a tuple of such numbers, or settings.

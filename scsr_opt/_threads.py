@@ -1,4 +1,4 @@
-"""NumPy on several cores: it lets other threads go on while it works through an array."""
+"""NumPy on several cores: it releases the interpreter while it works through an array."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ Result = TypeVar("Result")
 
 
 def in_threads(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
-    """`function` of each part, in order, by as many threads as there are cores."""
+    """`function` of each part, in order, in one thread for each core."""
     if len(parts) < 2:
         return [function(part) for part in parts]
     with ThreadPoolExecutor(os.cpu_count()) as threads:

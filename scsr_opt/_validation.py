@@ -1,4 +1,4 @@
-"""What `reconstruct` is handed, checked in one place and in one wording."""
+"""Checks of arguments, in one place and in one wording."""
 
 import math
 import operator
@@ -15,7 +15,7 @@ from scsr_opt.errors import InputError
 # Pixels of the largest picture: a solve holds about 40 numbers for each, 16 GB in all.
 _MOST_PIXELS = 10**8
 # λ² and λΨ have to be numbers in float32, below 3e38; Ψ of the largest picture is below 1e12.
-_STRONGEST = 1e18
+_MOST_STRENGTH = 1e18
 
 
 def whole(value: Any, name: str, least: int, most: int | None = None) -> int:
@@ -44,7 +44,7 @@ def number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], li
 
 def prior_strength(strength: SupportsFloat, name: str = "strength") -> float:
     """λ as a float. **Raises:** `InputError` if it is not a number from 0 to 1e18, the most that float32 works with."""
-    return number(strength, name, lambda v: 0 <= v <= _STRONGEST, f"from 0 to {_STRONGEST:g}")
+    return number(strength, name, lambda v: 0 <= v <= _MOST_STRENGTH, f"from 0 to {_MOST_STRENGTH:g}")
 
 
 def flag(value: object, name: str) -> bool:

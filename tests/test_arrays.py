@@ -109,7 +109,7 @@ def test_door_masked_array_is_refused(door):
     """The values under a mask are anything at all, and were taken for measurements."""
     name, good, call = DOORS[door]
     masked = np.ma.masked_array(good, mask=np.zeros(good.shape, bool))
-    with pytest.raises(InputError, match=rf"{name}.* masked array, whose mask would be ignored; hand in"):
+    with pytest.raises(InputError, match=rf"{name}.* masked array, whose mask would be ignored; give"):
         call(masked)
 
 

@@ -1,9 +1,9 @@
-"""What `reconstruct` is compared with: simpler ways to a high-resolution picture, each a function of the same form.
+"""Simpler ways to a high-resolution picture, to compare `reconstruct` with; each a function of the same form.
 
     image = BASELINES["mgsr"](spikes, scale=4, key=50, white_rate=0.6)
 
 Every one takes (T, h, w) spikes or a `Recording` and the keyword arguments `scale`, `key` (the middle frame if None)
-and `white_rate` (the recording's if None), and returns the picture (s·h, s·w). docs/baselines.md says what each is and
+and `white_rate` (the recording's if None), and returns the picture (s·h, s·w). docs/baselines.md describes each and
 what it reaches.
 """
 

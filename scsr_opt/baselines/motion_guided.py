@@ -10,20 +10,19 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
-from scsr_opt.baselines.inputs import Part, part_of
+from scsr_opt.baselines.inputs import clip_of
 from scsr_opt.baselines.playbacks import tfp_picture
+from scsr_opt.baselines.settings import DEFAULT
 from scsr_opt.baselines.solving import solved
-from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.recording import USUAL_FRAMES, Recording
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.motion.estimators.automatic import Dense, estimate_motion
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators.sampling import place
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.report.figures import bicubic
-
-# Spike frames used around the key frame, as `reconstruct` uses them.
-FRAMES = 101
 
 
 def shift_and_add(
@@ -55,21 +54,22 @@ def shift_and_add(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` if an argument cannot be used.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
-    found = _motion(part, motion)
-    samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels).padded()
-    path = trajectory_of(found, key=part.key, start=0, stop=len(part.spikes))
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=USUAL_FRAMES)
+    shape = (scale * clip.shape[0], scale * clip.shape[1])
+    found = _motion(clip, motion)
+    samples = spike_intervals(clip.spikes, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels).padded()
+    path = trajectory_of(found, key=clip.key, start=0, stop=len(clip.spikes))
     middle = (samples.start + samples.stop) / 2
     places = path.at(jnp.asarray(samples.row), jnp.asarray(samples.column), jnp.asarray(middle))
     row, column, seen = (np.asarray(v, np.float64) for v in places)
     weight = np.asarray(samples.weight) * seen
-    centre = np.stack([row, column]) * part.scale + (part.scale - 1) / 2
-    total, weights = _splat(centre, np.stack([weight * samples.value, weight]), part.shape)
+    centre = np.stack([row, column]) * scale + (scale - 1) / 2
+    total, weights = _splat(centre, np.stack([weight * samples.value, weight]), shape)
     if not weights.any():  # nothing was measured: nothing to interpolate between
-        return bicubic(tfp_picture(part), part.scale)
-    return _filled(total, weights, part.scale)
+        return bicubic(tfp_picture(clip), scale)
+    return _filled(total, weights, scale)
 
 
 def _splat(
@@ -92,26 +92,15 @@ def _splat(
     return sums.reshape(-1, height, width)
 
 
-# Frames of exposure below which a pixel rather takes what is around it; below which, in the mean over a neighbourhood,
-# that takes what is around it in turn; and the widths of these neighbourhoods in sensor pixels, the widest first. What
-# has nothing within the widest takes the mean of the whole picture.
-_FEW, _FEW_AROUND = 0.5, 0.005
-_WIDTHS = (4.0, 1.0, 0.4)
-
-
 def _filled(total: Float[np.ndarray, "H W"], weight: Float[np.ndarray, "H W"], scale: int) -> Float[np.ndarray, "H W"]:
     """total / weight, and where there is little weight, normalised Gaussian means (Knutsson and Westin, 1993)."""
     around = np.full(total.shape, total.sum() / weight.sum())
-    for width in _WIDTHS:
+    few = DEFAULT.neighbourhood_least_frames
+    for width in DEFAULT.neighbourhoods_px:
         near, share = (gaussian_filter(v, width * scale) for v in (total, weight))
-        around = (near + _FEW_AROUND * around) / (share + _FEW_AROUND)
-    return ((total + _FEW * around) / (weight + _FEW)).astype(np.float32)
-
-
-# λ = _SMOOTHING · √(noise / frames) · 2/s, found on stills of scikit-image (docs/baselines.md).
-_SMOOTHING = 0.08
-# Length of an exposure, in high-resolution pixels, from which on it is sampled at three positions.
-_LONG = 0.75
+        around = (near + few * around) / (share + few)
+    few = DEFAULT.pixel_least_frames
+    return ((total + few * around) / (weight + few)).astype(np.float32)
 
 
 def mgsr(
@@ -134,7 +123,7 @@ def mgsr(
     with n_k the interval's length in frames, divided by those of the recording.
 
     *What was read and what was assumed.* Read were the abstract and the first lines of the paper, the opening of a
-    reader's notes on it, and what later papers of the group say of it. Not read was its method section, and no public
+    reader's notes on it, and what later papers of the group write of it. Not read was its method section, and no public
     code of it was found. Stated there: HR intensity is recovered from LR spikes; the relative motion of camera and
     objects tells which points of the scene a pixel's spikes speak of; from it follows a relation between the light
     intensity and each spike, and the picture from these relations; "complex optimization and rigorous assumptions
@@ -154,29 +143,28 @@ def mgsr(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` if an argument cannot be used.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=FRAMES)
-    frames = len(part.spikes)
-    found = _motion(part, Dense(acceleration=False) if motion is None else motion)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=USUAL_FRAMES)
+    shape = (scale * clip.shape[0], scale * clip.shape[1])
+    frames = len(clip.spikes)
+    found = _motion(clip, Dense(acceleration=False) if motion is None else motion)
     motion = Motion.of_velocity(found.velocity)  # the assumptions: it keeps its velocity and hides nothing
-    samples = spike_intervals(part.spikes, white_rate=part.white_rate, bad_pixels=part.bad_pixels)
-    strength = _SMOOTHING * (_interval_noise(samples) / frames) ** 0.5 * 2 / part.scale
-    path = trajectory_of(motion, key=part.key, start=0, stop=frames)
-    moved = part.scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
-    long = moved.size > 0 and float(np.quantile(moved, 0.9)) > _LONG
+    samples = spike_intervals(clip.spikes, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels)
+    strength = DEFAULT.noise_factor * (_interval_noise(samples) / frames) ** 0.5 * 2 / scale
+    path = trajectory_of(motion, key=clip.key, start=0, stop=frames)
+    moved = scale * motion.speed[samples.row, samples.column] * (samples.stop - samples.start)
+    long = moved.size > 0 and float(np.quantile(moved, 0.9)) > DEFAULT.long_exposure_px
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames)).padded()
-    placed = place(
-        jax.tree.map(jnp.asarray, samples), path, scale=part.scale, finest=3 if long else 1, shape=part.shape
-    )
-    return solved(placed, bicubic(tfp_picture(part), part.scale), strength)
+    placed = place(jax.tree.map(jnp.asarray, samples), path, scale=scale, finest=3 if long else 1, shape=shape)
+    return solved(placed, bicubic(tfp_picture(clip), scale), strength)
 
 
-def _motion(part: Part, motion: Motion | Estimator | None) -> Motion:
+def _motion(clip: Clip, motion: Motion | Estimator | None) -> Motion:
     if isinstance(motion, Motion):
-        return validate_motion(motion, *part.spikes.shape[1:])
+        return validate_motion(motion, *clip.shape)
     return estimate_motion(
-        part.spikes, key=part.key, white_rate=part.white_rate, estimator=motion, bad_pixels=part.bad_pixels
+        clip.spikes, key=clip.key, white_rate=clip.white_rate, estimator=motion, bad_pixels=clip.bad_pixels
     )
 
 

@@ -6,14 +6,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from scsr_opt.baselines.inputs import Part, part_of
+from scsr_opt.baselines.inputs import clip_of, repaired
+from scsr_opt.baselines.settings import DEFAULT
 from scsr_opt.camera.playback import stp, tfi, tfp
 from scsr_opt.camera.recording import Recording
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.report.figures import bicubic
-
-# Frames that a playback is given: enough to find the spikes next to the key frame of a pixel that fires 300 times less
-# often than white.
-SEARCHED = 1001
 
 
 def tfp_bicubic(
@@ -33,10 +31,10 @@ def tfp_bicubic(
 
     **Returns:** (s·h, s·w) float32, intensity 1 = white; not cut at 0 or 1.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` if an argument cannot be used.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=SEARCHED)
-    return bicubic(tfp_picture(part), part.scale)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
+    return bicubic(tfp_picture(clip), scale)
 
 
 def tfi_bicubic(
@@ -50,8 +48,8 @@ def tfi_bicubic(
 
     **Arguments**, **returns**, **raises:** as `tfp_bicubic`. At most 1001 frames around the key frame are searched.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=SEARCHED)
-    return bicubic(tfi_picture(part), part.scale)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
+    return bicubic(tfi_picture(clip), scale)
 
 
 def stp_bicubic(
@@ -65,20 +63,20 @@ def stp_bicubic(
 
     **Arguments**, **returns**, **raises:** as `tfi_bicubic`.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=SEARCHED)
-    return bicubic(stp_picture(part), part.scale)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
+    return bicubic(stp_picture(clip), scale)
 
 
-def tfp_picture(part: Part) -> Float[np.ndarray, "h w"]:
+def tfp_picture(clip: Clip) -> Float[np.ndarray, "h w"]:
     """`tfp` over 21 frames, or all that there are."""
-    return part.repaired(tfp(part.spikes, part.key, white_rate=part.white_rate))
+    return repaired(clip, tfp(clip.spikes, clip.key, white_rate=clip.white_rate))
 
 
-def tfi_picture(part: Part) -> Float[np.ndarray, "h w"]:
+def tfi_picture(clip: Clip) -> Float[np.ndarray, "h w"]:
     """`tfi`."""
-    return part.repaired(tfi(part.spikes, part.key, white_rate=part.white_rate))
+    return repaired(clip, tfi(clip.spikes, clip.key, white_rate=clip.white_rate))
 
 
-def stp_picture(part: Part) -> Float[np.ndarray, "h w"]:
+def stp_picture(clip: Clip) -> Float[np.ndarray, "h w"]:
     """`stp`."""
-    return part.repaired(stp(part.spikes, part.key, white_rate=part.white_rate))
+    return repaired(clip, stp(clip.spikes, clip.key, white_rate=clip.white_rate))

@@ -21,17 +21,16 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.ndimage import convolve
 
-from scsr_opt.baselines.inputs import Part, part_of
-from scsr_opt.baselines.playbacks import SEARCHED, stp_picture, tfi_picture, tfp_picture
+from scsr_opt.baselines.inputs import clip_of
+from scsr_opt.baselines.playbacks import stp_picture, tfi_picture, tfp_picture
+from scsr_opt.baselines.settings import DEFAULT
 from scsr_opt.baselines.solving import solved
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators.sampling import place
+from scsr_opt.pipeline.clip import Clip
 from scsr_opt.report.figures import bicubic
-
-# λ = _SMOOTHING · σ · 2/s, with σ the noise of the playback. Found on stills of scikit-image (docs/baselines.md).
-_SMOOTHING = 0.2
 
 
 def tfp_sr(
@@ -45,8 +44,8 @@ def tfp_sr(
 
     **Arguments**, **returns**, **raises:** as `tfp_bicubic`; bad pixels are left out instead of filled in.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=SEARCHED)
-    return _super_resolved(tfp_picture(part), part)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
+    return _super_resolved(tfp_picture(clip), clip, scale)
 
 
 def tfi_sr(
@@ -60,8 +59,8 @@ def tfi_sr(
 
     **Arguments**, **returns**, **raises:** as `tfp_sr`.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=SEARCHED)
-    return _super_resolved(tfi_picture(part), part)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
+    return _super_resolved(tfi_picture(clip), clip, scale)
 
 
 def stp_sr(
@@ -75,20 +74,22 @@ def stp_sr(
 
     **Arguments**, **returns**, **raises:** as `tfp_sr`.
     """
-    part = part_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=SEARCHED)
-    return _super_resolved(stp_picture(part), part)
+    clip, scale = clip_of(spikes, scale=scale, key=key, white_rate=white_rate, frames=DEFAULT.searched_frames)
+    return _super_resolved(stp_picture(clip), clip, scale)
 
 
-def _super_resolved(picture: Float[np.ndarray, "h w"], part: Part) -> Float[np.ndarray, "H W"]:
+def _super_resolved(picture: Float[np.ndarray, "h w"], clip: Clip, scale: int) -> Float[np.ndarray, "H W"]:
     height, width = picture.shape
     row, column = (index.ravel().astype(np.int32) for index in np.indices(picture.shape))
-    used = np.ones(picture.shape, np.float32) if part.bad_pixels is None else (~part.bad_pixels).astype(np.float32)
+    used = np.ones(picture.shape, np.float32) if clip.bad_pixels is None else (~clip.bad_pixels).astype(np.float32)
     now = np.zeros(picture.size, np.float32)
     samples = Samples(row=row, column=column, start=now, stop=now, value=picture.ravel(), weight=used.ravel())
     path = trajectory_of(Motion.none(height, width), key=0, start=0, stop=1)
-    placed = place(jax.tree.map(jnp.asarray, samples.padded()), path, scale=part.scale, shape=part.shape)
-    strength = _SMOOTHING * noise_level(picture) * 2 / part.scale
-    return solved(placed, bicubic(picture, part.scale), strength)
+    placed = place(
+        jax.tree.map(jnp.asarray, samples.padded()), path, scale=scale, shape=(scale * height, scale * width)
+    )
+    strength = DEFAULT.single_image_noise_factor * noise_level(picture) * 2 / scale
+    return solved(placed, bicubic(picture, scale), strength)
 
 
 def noise_level(picture: Float[np.ndarray, "h w"]) -> float:

@@ -7,15 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt.baselines.settings import DEFAULT
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.priors.total_variation import TotalVariation
 from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
-
-# Corrections for motion during the exposures (`with_exposure`).
-_CORRECTIONS = 3
 
 
 def solved(placed: PlacedSamples, start: Float[np.ndarray, "H W"], strength: float) -> Float[np.ndarray, "H W"]:
@@ -32,7 +30,7 @@ def solved(placed: PlacedSamples, start: Float[np.ndarray, "H W"], strength: flo
     prior, λ = TotalVariation(iterations=10), jnp.asarray(strength, jnp.float32)
     uncorrected = term = accumulate(placed)
     outcome = run(solver, Problem(term, prior, λ), jnp.asarray(start))
-    for _ in range(_CORRECTIONS if placed.finest > 1 else 0):
+    for _ in range(DEFAULT.corrections if placed.finest > 1 else 0):
         term = with_exposure(uncorrected, placed, jnp.asarray(outcome.image))
         outcome = run(solver, Problem(term, prior, λ), jnp.asarray(outcome.image), similar=outcome.state)
     return outcome.image

@@ -4,11 +4,11 @@ A sample of pixel p measures Y = g(p)·I. Where g is known, Y / g is what counts
 
 - from a recording of an evenly lit surface (`flat_gain`), once for a camera;
 - from any recording in which the scene moves (`blind_gain`): a point of the scene is then seen by many pixels and a
-  pixel sees many points, so that what all others together say of a place tells what this pixel should have measured.
+  pixel sees many points, so that all others together predict what this pixel should have measured.
   A gain that varies slowly along the motion (over further than the scene moved) cannot be told from the picture.
 
 Where nothing moves, each pixel sees one point only and gain and picture are one: nothing but an assumption on pictures
-tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.camera.gain_at_rest` makes the assumption.
+tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.calibration.gain_at_rest` makes the assumption.
 """
 
 import equinox as eqx
@@ -18,19 +18,11 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 
 from scsr_opt._arrays import as_array
+from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, checked_settings
 from scsr_opt.camera.samples import Samples, mean_light
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
-
-_MOVED = 1.0
-"""Sensor pixels that the scene has to move at a pixel before its gain can be told from the picture."""
-FIXED_PATTERN = 0.02
-"""A blind gain's spread from which on a recording is taken to have a fixed pattern. Without one none was found by day
-and up to 0.006 in dim light where all moves together; 0.016 with a dim object, but for two of 24 whose motion was wrong
-(0.09, 0.11). With one of 2 % 0.014 by day: at most 0.1 dB are to be had there, for the time of two more solves."""
-_RANGE = (0.5, 2.0)
-"""Gains beyond this are bad pixels rather than gains."""
 
 
 def with_gain(samples: Samples, gain: Float[np.ndarray, "h w"]) -> Samples:
@@ -52,20 +44,20 @@ def spread_of(gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) ->
     return float(gain[known].std()) if known.any() else 0.0
 
 
-def gain_is_known(moved: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Where `blind_gain` can tell the gain: the scene has `moved` there by a sensor pixel or more."""
-    return moved >= _MOVED
+def gain_is_known(moved: Float[np.ndarray, "h w"], settings: GainSettings = GainSettings()) -> Bool[np.ndarray, "h w"]:
+    """(h, w), true where the scene has `moved` by enough sensor pixels for `blind_gain` to tell the gain."""
+    return moved >= settings.least_motion_px
 
 
 def share_of_unknown_gain(
     samples: Samples, gain: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"], noise: float | int
 ) -> Float[np.ndarray, "h w"]:
-    """How much of its weight a pixel keeps whose gain is not known, where others' gains spread; 1 where it is known.
+    """Share of its weight that a pixel keeps whose gain is not known, where others' gains spread; 1 where it is known.
 
     An unknown gain makes an error that all samples of the pixel share: it adds (spread · intensity)² to the variance of
     their mean, and the weight is the inverse of that variance. Gains spread there as they do where they are known; what
-    was taken for gain at rest (`scsr_opt.camera.gain_at_rest`) is a mean of what they may be, and their variance about
-    it is less by its own.
+    was taken for gain at rest (`scsr_opt.calibration.gain_at_rest`) is a mean of what they may be, and their variance
+    about it is less by its own.
 
     **Arguments:** `samples`, weighted so that a pixel's add up to about 1; `gain` where it is `known`, and what was
     taken for it elsewhere; `noise`, the standard deviation of a pixel's mean without that, intensity.
@@ -80,6 +72,7 @@ def flat_gain(
     *,
     bad_pixels: ArrayLike | None = None,
     even_over: int = 15,
+    settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
     """Gains from a recording of an evenly lit, still surface: a pixel's rate over the median rate around it.
 
@@ -90,6 +83,7 @@ def flat_gain(
     - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
     - `even_over`: sensor pixels over which the light may be taken as even; what varies more slowly (vignetting) is left
       in.
+    - `settings`: the range of gains that are believed.
 
     **Returns:** (h, w), around 1.
 
@@ -101,11 +95,13 @@ def flat_gain(
     known_bad = checked_settings(spikes.shape, READOUT_RATE, WHITE_RATE, bad_pixels)["bad_pixels"]
     rate = mean_light(SpikeTimes.of(spikes), 0, len(spikes), white_rate=WHITE_RATE)
     bad = np.zeros(shape, bool) if known_bad is None else known_bad
-    # Bad pixels say nothing about the light: they take the median of the good ones, which leaves their neighbours' be.
+    # Bad pixels take the median of the good ones, so that they do not change the median around their neighbours.
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)
     around = median_filter(filled, size=even_over, mode="nearest")
     usable = ~bad & (around > 0)
-    return np.where(usable, np.clip(filled / np.where(usable, around, 1), *_RANGE), 1.0).astype(np.float32)
+    return np.where(usable, np.clip(filled / np.where(usable, around, 1), *settings.believed_range), 1.0).astype(
+        np.float32
+    )
 
 
 def blind_gain(
@@ -115,6 +111,7 @@ def blind_gain(
     moved: Float[np.ndarray, "h w"],
     white_rate: float | int,
     weight: Float[np.ndarray | Array, " n"] | None = None,
+    settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
     """Gains from samples and what the reconstructed picture predicts for them.
 
@@ -127,8 +124,8 @@ def blind_gain(
     as the picture is far more wrong at some pixels than at most. What is kept of a deviation is gain² / (gain² +
     error²), the error being that of most pixels or (a − b) / 2, the larger. Where the halves do not agree, nothing is.
 
-    Use it in turns: picture from `with_gain(samples, gain)`, then gain from that picture; one turn gets most, two all.
-    Always hand in the samples as measured.
+    Use it in turns: picture from `with_gain(samples, gain)`, then gain from that picture; one turn finds most, two all.
+    The samples are always those as measured.
 
     **Arguments:**
     - `samples`: as measured, not corrected.
@@ -136,6 +133,7 @@ def blind_gain(
     - `moved`: (h, w), how far the scene moves at each pixel during the recording, sensor pixels.
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `weight`: (n,), instead of the samples' own: those of `PlacedSamples`, which know what has left the picture.
+    - `settings`: the motion from which on a gain is known, and the range of gains that are believed.
 
     **Returns:** (h, w), 1 where the scene does not move by a pixel or nothing was measured.
     """
@@ -149,7 +147,7 @@ def blind_gain(
         return np.bincount(pixel, of, minlength=shape[0] * shape[1]).reshape(shape)
 
     total, duration = sums(used), sums(np.where(used > 0, stop - start, 0.0))
-    seen = (total > 0) & gain_is_known(moved)
+    seen = (total > 0) & gain_is_known(moved, settings)
     if not seen.any():
         return np.ones(shape, np.float32)
     spike = total / np.maximum(duration, 1) / white_rate
@@ -158,7 +156,7 @@ def blind_gain(
     expected = np.maximum(np.asarray(predicted, np.float64), 0)
 
     def ratio(measured: Float[np.ndarray, "h w"], predicted: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-        raw = np.clip((measured + spike) / np.maximum(predicted + spike, 1e-9), *_RANGE)
+        raw = np.clip((measured + spike) / np.maximum(predicted + spike, 1e-9), *settings.believed_range)
         return np.where(seen, raw - np.median(raw[seen]), 0)
 
     def halves(of: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
@@ -173,9 +171,10 @@ def blind_gain(
     if of_gains == 0:
         return np.ones(shape, np.float32)
     kept = of_gains / (of_gains + np.maximum(of_errors, differs**2))
-    return np.clip(1 + kept * ratio(*(soon + late for soon, late in light)), *_RANGE).astype(np.float32)
+    gain = 1 + kept * ratio(*(soon + late for soon, late in light))
+    return np.clip(gain, *settings.believed_range).astype(np.float32)
 
 
 def _robust_variance(values: Float[np.ndarray, " n"]) -> float:
-    """That of a normal distribution with the same median of absolute deviations."""
+    """Variance of a normal distribution with this median of absolute deviations."""
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) ** 2

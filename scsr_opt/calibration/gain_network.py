@@ -1,16 +1,16 @@
-"""Gains of pixels that saw one point of the scene only: what a network that knows pictures takes for fixed pattern.
+"""Gains of pixels that saw one point of the scene only, by a network that tells fixed pattern from picture.
 
 Where nothing moves, gain and picture are one (`scsr_opt.calibration.gain`), and only an assumption on pictures tells
-them apart: edges and textures go on from pixel to pixel, gains do not. A prior makes it in the solve, on the
-high-resolution picture; here a small network makes it at sensor resolution, where the gains are, and says how much of
-each pixel's light it takes for gain. It was trained (`learned.training.gain`) to miss ln g by little in the mean of
-squares, over recordings with and without a fixed pattern: where a texture could be a pattern it says little.
+them apart: edges and textures extend over pixels, gains do not. A prior makes it in the solve, on the
+high-resolution picture; here a small network makes it at sensor resolution, where the gains are, and estimates how much
+of each pixel's light is gain. It was trained (`learned.training.gain`) to miss ln g by little in the mean of
+squares, over recordings with and without a fixed pattern: where a texture could be a pattern its estimate is small.
 """
 
 import functools
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -21,35 +21,14 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt._kernels.programs import ready
+from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera.recording import READOUT_RATE, checked_settings
 from scsr_opt.camera.samples import mean_light
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.spike_times import SpikeTimes
 
 WEIGHTS = Path(__file__).parent / "weights" / "gain_network.npz"
-"""The trained network, with a card beside it that says what it was trained on."""
-# Intensity at which the logarithm of a rate becomes linear: what is darker hardly fires, and shows no gain.
-_DARK = 0.02
-# So that what the network sees of pictures is about 0 in the mean, and of noise about 1 at most.
-_MIDDLE, _NOISE, _MOST = 1.2, 10.0, 3.0
-# Sensor pixels over which noise is taken as even, and from how far bad pixels take their light.
-_EVEN, _BESIDE = 2.0, 1.0
-_LEAK = 0.1  # slope of activations below 0
-# ln g further from 0 are not believed: 1.65 and 0.61 are bad pixels rather than gains.
-_FARTHEST = 0.5
-# A recording has a fixed pattern if gains spread by so much in all but the plainest tenth of its squares of so many
-# sensor pixels a side. A part of a picture may be texture as white as gains are, so that there have to be many squares.
-# `python -m benchmarks.gains_at_rest` counts how often the rule is wrong (docs/measurements.md).
-_PATTERN, _PLAINEST, _SQUARE, _FEWEST = 0.01, 0.1, 8, 25
-# Squares darker than this are passed over, as what hardly fires shows no gain, and those of more relative noise, in
-# which a gain would be noise. So large a share of all has to be left.
-_LIT, _NOISY, _ENOUGH = 0.05, 0.04, 0.1
-# A look at this many by this many windows, of so many squares a side, tells at a fraction of the work that a large
-# sensor has no pattern: where so large a share of them is plain. Without a pattern it is 0.36 to 1 on nine of
-# scikit-image's pictures and three real recordings, with 2 % 0.15 to 0.9, with 5 % 0 to 0.24.
-_WINDOWS, _ACROSS, _PLAIN = (2, 3), 5, 0.35
-# Trained on pictures up to white: where this share of the pixels is brighter, the white rate is taken for wrong.
-_WHITE = 0.01
+"""The trained network; a card beside it lists what it was trained on."""
 
 
 class GainNetwork(eqx.Module):
@@ -63,6 +42,14 @@ class GainNetwork(eqx.Module):
     """
 
     layers: tuple[eqx.nn.Conv2d, ...]
+    # Numbers that it was trained with. The intensity at which the logarithm of a rate becomes linear: what is darker
+    # hardly fires, and shows no gain.
+    DARK: ClassVar[float] = 0.02
+    # Offset and factors with which its input is about 0 in the mean, and its noise about 1 at most.
+    LOG_OFFSET: ClassVar[float] = 1.2
+    NOISE_FACTOR: ClassVar[float] = 10.0
+    MOST_NOISE: ClassVar[float] = 3.0
+    LEAK: ClassVar[float] = 0.1  # slope of activations below 0
 
     def __init__(self, channels: int, layers: int, *, key: PRNGKeyArray):
         sizes = [2, *[channels] * (layers - 1), 1]
@@ -73,7 +60,9 @@ class GainNetwork(eqx.Module):
 
     def __call__(self, rate: Float[Array, "h w"], noise: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """ln g from a still picture and the relative standard deviation of its pixels over time (`rates_at_rest`)."""
-        seen = jnp.stack([jnp.log(rate + _DARK) + _MIDDLE, jnp.minimum(_NOISE * noise, _MOST)])
+        seen = jnp.stack(
+            [jnp.log(rate + self.DARK) + self.LOG_OFFSET, jnp.minimum(self.NOISE_FACTOR * noise, self.MOST_NOISE)]
+        )
         first, *inner, last = self.layers
         x = _leaky(first(seen))
         for layer in inner:
@@ -81,7 +70,7 @@ class GainNetwork(eqx.Module):
         return last(x)[0]
 
     def save(self, path: Path) -> None:
-        """As an .npz file."""
+        """Writes the network to an .npz file."""
         arrays: dict[str, Any] = {}
         for n, layer in enumerate(self.layers):
             arrays[f"weight{n}"], arrays[f"bias{n}"] = np.asarray(layer.weight), np.asarray(layer.bias)
@@ -102,7 +91,7 @@ class GainNetwork(eqx.Module):
 
 
 def _leaky(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    return jnp.where(x >= 0, x, _LEAK * x)
+    return jnp.where(x >= 0, x, GainNetwork.LEAK * x)
 
 
 def rates_at_rest(
@@ -110,11 +99,11 @@ def rates_at_rest(
     *,
     white_rate: float | int,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    settings: GainSettings = GainSettings(),
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Intensity of each pixel of a still scene, from all its intervals, and the relative standard deviation of that,
     as the two halves of the recording and the pixels around tell it; bad pixels take what is around them.
     `white_rate`: spikes per frame of a pixel at intensity 1."""
-
     good = np.ones(spikes.shape[1:], np.float32) if bad_pixels is None else (~bad_pixels).astype(np.float32)
 
     def around(of: Float[np.ndarray, "h w"], reach: float) -> Float[np.ndarray, "h w"]:
@@ -128,8 +117,9 @@ def rates_at_rest(
         for times, begin, end in ((first, 0, half), (second, half, frames))
     )
     differs = before - after
-    whole = np.where(good > 0, whole, around(whole, _BESIDE))
-    return whole, np.sqrt(around(differs**2, _EVEN)) / 2 / (whole + np.float32(_DARK))
+    whole = np.where(good > 0, whole, around(whole, settings.bad_pixel_smoothing_px))
+    noise = np.sqrt(around(differs**2, settings.noise_smoothing_px)) / 2
+    return whole, noise / (whole + np.float32(GainNetwork.DARK))
 
 
 def gain_at_rest(
@@ -138,9 +128,10 @@ def gain_at_rest(
     white_rate: float | int,
     bad_pixels: ArrayLike | None = None,
     network: GainNetwork | None = None,
-    skip: bool = True,
+    sampled_gains: bool = True,
+    settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
-    """Gains of a camera before a still scene, as far as they can be told from the picture.
+    """Gains of the pixels of a camera before a still scene, as far as they can be told from the picture.
 
     Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
     where they are plain. All gains are 1 unless they seem to spread by 1 % or more in nine tenths of the squares of 8×8
@@ -152,7 +143,8 @@ def gain_at_rest(
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `bad_pixels`: (h, w), true or 1 for pixels to be left out; they get gain 1.
     - `network`: the shipped one, if not given.
-    - `skip`: whether windows of a large sensor that show no pattern are taken for all of it.
+    - `sampled_gains`: whether windows of a large sensor that show no pattern stand for all of it (`Shortcuts`).
+    - `settings`: when there is a pattern.
 
     **Returns:** (h, w), around 1.
 
@@ -164,41 +156,47 @@ def gain_at_rest(
         return np.ones(spikes.shape[1:], np.float32)
     network = GainNetwork.load() if network is None else network
     bad = np.zeros(spikes.shape[1:], bool) if bad is None else bad
-    if skip and _is_plain(network, spikes, white_rate, bad):
+    if sampled_gains and _is_plain(network, spikes, white_rate, bad, settings):
         return np.ones(bad.shape, np.float32)
-    rate, noise = rates_at_rest(spikes, white_rate=white_rate, bad_pixels=bad)
-    rate = rate / max(float(np.quantile(rate, 1 - _WHITE)), 1.0)
-    found = _logarithm(network, rate, noise, bad)
-    spread = _spreads(found, rate, noise)
-    enough = spread.size >= max(_FEWEST, _ENOUGH * (rate.size // _SQUARE**2))
-    if not enough or np.quantile(spread, _PLAINEST) < _PATTERN:
+    rate, noise = rates_at_rest(spikes, white_rate=white_rate, bad_pixels=bad, settings=settings)
+    rate = rate / max(float(np.quantile(rate, 1 - settings.brightest_share)), 1.0)
+    found = _logarithm(network, rate, noise, bad, settings)
+    spread = _spreads(found, rate, noise, settings)
+    least = max(settings.least_squares, settings.least_squares_share * (rate.size // settings.square_px**2))
+    if spread.size < least or np.quantile(spread, settings.rest_plainest_share) < settings.rest_pattern_spread:
         return np.ones_like(rate)
     return np.exp(found).astype(np.float32)
 
 
 def _is_plain(
-    network: GainNetwork, spikes: Shaped[np.ndarray, "T h w"], white_rate: float | int, bad: Bool[np.ndarray, "h w"]
+    network: GainNetwork,
+    spikes: Shaped[np.ndarray, "T h w"],
+    white_rate: float | int,
+    bad: Bool[np.ndarray, "h w"],
+    settings: GainSettings,
 ) -> bool:
-    """Whether windows of a sensor that is much larger than they are show that there is no pattern."""
+    """True where windows of a sensor that is much larger than they are show that there is no pattern."""
     reach = len(network.layers)  # a convolution of 3×3 each: so far from its border a window is as the whole sensor
-    side = _ACROSS * _SQUARE + 2 * reach
-    if 2 * math.prod(_WINDOWS) * side**2 > bad.size or min(bad.shape) < side:
+    side = settings.window_squares * settings.square_px + 2 * reach
+    if 2 * math.prod(settings.windows) * side**2 > bad.size or min(bad.shape) < side:
         return False
-    down, across = (np.linspace(0, n - side, k).astype(int) for n, k in zip(bad.shape, _WINDOWS, strict=True))
-    white = np.quantile(spike_counts(spikes), 1 - _WHITE) / (len(spikes) * white_rate)
+    down, across = (np.linspace(0, n - side, k).astype(int) for n, k in zip(bad.shape, settings.windows, strict=True))
+    white = np.quantile(spike_counts(spikes), 1 - settings.brightest_share) / (len(spikes) * white_rate)
     inner, plain, seen = np.s_[reach:-reach, reach:-reach], 0, 0
     for row, top in enumerate(down, 1):
         windows = [np.s_[top : top + side, left : left + side] for left in across]
-        rates = [rates_at_rest(spikes[:, *w], white_rate=white_rate, bad_pixels=bad[w]) for w in windows]
+        common: dict[str, Any] = {"white_rate": white_rate, "settings": settings}
+        rates = [rates_at_rest(spikes[:, *w], bad_pixels=bad[w], **common) for w in windows]
         rate, noise = np.stack([one for one, _ in rates]) / max(float(white), 1.0), np.stack([one for _, one in rates])
-        found = _logarithm(network, rate, noise, np.stack([bad[w] for w in windows]))
+        found = _logarithm(network, rate, noise, np.stack([bad[w] for w in windows]), settings)
         for each in zip(found, rate, noise, strict=True):
-            spread = _spreads(*(one[inner] for one in each))
-            plain, seen = plain + int(np.count_nonzero(spread < _PATTERN)), seen + spread.size
-        # As many as there can be at most count for the windows that follow: some tell before they are looked at.
-        most = seen + (len(down) - row) * len(across) * _ACROSS**2
-        if plain > _PLAIN * most:
-            return seen >= _FEWEST
+            spread = _spreads(*(one[inner] for one in each), settings=settings)
+            plain += int(np.count_nonzero(spread < settings.rest_pattern_spread))
+            seen += spread.size
+        # The windows that follow may add this many squares: where the share is large enough with all of them, stop.
+        most = seen + (len(down) - row) * len(across) * settings.window_squares**2
+        if plain > settings.plain_share * most:
+            return seen >= settings.least_squares
     return False
 
 
@@ -207,25 +205,30 @@ def _logarithm(
     rate: Float[np.ndarray, "*n h w"],
     noise: Float[np.ndarray, "*n h w"],
     bad: Bool[np.ndarray, "*n h w"],
+    settings: GainSettings,
 ) -> Float[np.ndarray, "*n h w"]:
     """ln g of one picture or several, 0 where a pixel is bad."""
     one_or_all = _found if rate.ndim == 2 else _all_found
     found = np.asarray(one_or_all(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
-    return np.where(bad, 0, np.clip(found, -_FARTHEST, _FARTHEST))
+    return np.where(bad, 0, np.clip(found, -settings.most_log_gain, settings.most_log_gain))
 
 
 def _spreads(
-    found: Float[np.ndarray, "h w"], rate: Float[np.ndarray, "h w"], noise: Float[np.ndarray, "h w"]
+    found: Float[np.ndarray, "h w"],
+    rate: Float[np.ndarray, "h w"],
+    noise: Float[np.ndarray, "h w"],
+    settings: GainSettings,
 ) -> Float[np.ndarray, " n"]:
     """Standard deviation of ln g in each square that can show gains."""
-    squares, light, noise = (_in_squares(of) for of in (found, rate, noise))
-    return squares.std(1)[(light.mean(1) > _LIT) & (noise.mean(1) < _NOISY)]
+    squares, light, noise = (_in_squares(values, settings.square_px) for values in (found, rate, noise))
+    return squares.std(1)[(light.mean(1) > settings.least_light) & (noise.mean(1) < settings.most_noise)]
 
 
-def _in_squares(of: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
-    height, width = (length // _SQUARE * _SQUARE for length in of.shape)
-    parts = of[:height, :width].reshape(height // _SQUARE, _SQUARE, width // _SQUARE, _SQUARE)
-    return parts.transpose(0, 2, 1, 3).reshape(-1, _SQUARE**2)
+def _in_squares(values: Float[np.ndarray, "h w"], side: int) -> Float[np.ndarray, "n pixels"]:
+    """The pixels of each whole square of side × side."""
+    height, width = (length // side * side for length in values.shape)
+    parts = values[:height, :width].reshape(height // side, side, width // side, side)
+    return parts.transpose(0, 2, 1, 3).reshape(-1, side**2)
 
 
 _found = eqx.filter_jit(GainNetwork.__call__)

@@ -1,6 +1,6 @@
 """The lens from the recording: how wide a Gaussian explains pixels that were not used.
 
-Blur and picture are told apart by prediction. Some sensor pixels are held out, the picture is solved for from the
+Blur and picture are separated by prediction. Some sensor pixels are held out, the picture is solved for from the
 others with the blur H(σ), and its value at the held-out pixels is compared with what they measured (cross-validation;
 Reeves & Mersereau, 1992, chose blurs like that). A σ that is too large cannot reproduce edges, and its error rises
 steeply; one that is too small leaves the blur to the picture, which only makes the picture a little harder to
@@ -16,18 +16,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from scsr_opt.calibration.settings import OpticsSettings
 from scsr_opt.errors import InputError
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.losses import residuals
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
 
-GRID = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-"""Standard deviations that are tried, sensor pixels."""
-
 
 class GaussianOptics(NamedTuple):
-    """What `estimate_gaussian_optics` found.
+    """Result of `estimate_gaussian_optics`.
 
     **Fields:**
     - `sigma`: standard deviation of the lens's blur, SENSOR pixels; times the scale for `Blur.gaussian`.
@@ -46,8 +44,8 @@ def estimate_gaussian_optics(
     pixel: Array,
     solve: Callable[[DataTerm], Float[Array, "H W"]],
     *,
-    tried: Sequence[float | int] = GRID,
-    share: float = 0.1,
+    tried: Sequence[float | int] = OpticsSettings().sigmas_px,
+    share: float = OpticsSettings().held_out_share,
     seed: int = 0,
 ) -> GaussianOptics:
     """The Gaussian blur of the lens, from samples of one recording.

@@ -1,4 +1,4 @@
-"""How far samples are off: quantisation, shot noise, fixed pattern (derived in docs/data-term.md).
+"""Errors of samples: quantisation, shot noise, fixed pattern (derived in docs/data-term.md).
 
 An interval of light I that lasts n frames and gathers cθ is a sample Y of variance
 
@@ -24,12 +24,9 @@ from jaxtyping import Array, Bool, Float, Shaped
 from scsr_opt.camera.samples import Samples, spike_intervals
 from scsr_opt.errors import InputError
 
-_LONG = 4.0
-"""Frames from which on an interval's fraction of a frame is as good as random, as `estimate_photons` takes it to be."""
-
 
 class Noise(eqx.Module):
-    """What makes samples of a camera wrong, beside quantisation.
+    """Sources of error of a camera's samples, beside quantisation.
 
     **Fields:**
     - `photons`: N, photons per frame of a pixel at intensity 1; infinite for no shot noise.
@@ -80,7 +77,7 @@ class Noise(eqx.Module):
         # Light that cannot be told from none would get any weight.
         darkest = max(float(np.median(level)), 1e-3) / 20
         factor = 1 / np.maximum(self.variance(span, np.maximum(level, darkest)), 1e-12)
-        weight = samples.weight * factor[samples.row, samples.column]
+        weight = np.asarray(samples.weight) * factor[samples.row, samples.column]
         total = weight.sum()
         return (weight * (samples.weight.sum() / total) if total > 0 else weight).astype(np.float32)
 
@@ -111,10 +108,11 @@ def estimate_photons(
     middle = pixel[1:-1][together]
     if middle.size == 0:
         return math.inf
+    long = 4.0  # frames from which on an interval's fraction of a frame is as good as random
     half = spikes.shape[0] // 2
     change = np.abs(spikes[:half].sum(0, dtype=np.int64) - spikes[-half:].sum(0, dtype=np.int64)).ravel()
     relative = change / np.maximum(spikes.sum(0, dtype=np.int64).ravel(), 1)
-    steady = (relative[middle] <= np.quantile(relative[np.unique(middle)], 0.25)) & (length >= _LONG)
+    steady = (relative[middle] <= np.quantile(relative[np.unique(middle)], 0.25)) & (length >= long)
     # Σ bend² − 20/12 against Σ 6 n² / θ; long intervals, whose squares scatter most, at less weight.
     weight = 1 / (1 + length[steady] ** 2)
     shot = float((weight * (bend[steady] ** 2 - 20 / 12)).sum())

@@ -4,26 +4,24 @@ Three ways to read intensity off the spikes around a key frame. All return inten
 
 - `tfp` counts spikes in a window: steady, blurred by motion.
 - `tfi` measures the one interval that holds the key frame: sharp in time, coarse in intensity (θ over a whole number).
-- `stp` lets a model synapse with short-term plasticity listen to each pixel and reads the rate off its state: between
-  the two.
+- `stp` feeds each pixel's spikes to a model synapse with short-term plasticity and reads the rate off its state:
+  between the two.
 
 TFP and TFI: Zhu, Dong, Huang, Tian, "A retina-inspired sampling method for visual texture reconstruction", ICME 2019.
 """
 
-import math
-import operator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from scsr_opt._arrays import as_array
+from scsr_opt._validation import number, whole
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.sources import as_spikes, checked_shape
-from scsr_opt.errors import InputError
 
-WINDOW = 21
-"""Frames that `tfp` averages over, where nothing else is said and the recording has as many."""
+WINDOW_FRAMES = 21
+"""Frames that `tfp` averages over by default, where the recording is that long."""
 
 
 def tfp(
@@ -48,12 +46,8 @@ def tfp(
     many frames, or `white_rate` cannot be used.
     """
     recording, key, rate = _checked(spikes, key, white_rate)
-    length = min(WINDOW, len(recording)) if window is None else _index(window, "window")
-    if not 1 <= length <= len(recording):
-        raise InputError(
-            f"window is {window}, but it must be a whole number of frames, from 1 to the {len(recording)} that there "
-            f"are."
-        )
+    frames = len(recording)
+    length = min(WINDOW_FRAMES, frames) if window is None else whole(window, "window", 1, frames)
     start = key - length // 2
     part = recording[max(start, 0) : start + length]
     return (part.sum(0, dtype=np.float64) / (len(part) * rate)).astype(np.float32)
@@ -115,14 +109,14 @@ def stp(
     frames) as the authors' public implementation (SpikeCV, class TFSTP) states them; not the full text. That shows the
     sum of the two rates, stretched to the full range, its histogram equalised; here the sum becomes an absolute
     intensity. Assumed here: a synapse starts settled at its pixel's first interval (from rest it would take some spikes
-    to get there); the last interval it hears is the one that holds the key frame, as in `tfi`; a pixel without such an
-    interval has what the synapse says, but no more than the gap without a spike allows, and a synapse that has heard no
-    interval gives way to `tfi`. The second model of the extended version, with a synapse each for moving and resting
+    to get there); the last interval it is given is the one that holds the key frame, as in `tfi`; a pixel without such
+    an interval has the synapse's rate, but no more than the gap without a spike allows, and a synapse that was given no
+    interval is replaced by `tfi`. The second model of the extended version, with a synapse each for moving and resting
     regions, is not here.
 
     **Arguments:**
     - `spikes`, `key`, `white_rate`: as `tfp`.
-    - `history`: frames before the key frame whose spikes are listened to. The synapse forgets with τ_F: more than 20
+    - `history`: frames before the key frame whose spikes are used. The synapse forgets with τ_F: more than 20
       τ_F changes nothing.
     - `base_release`: u₀, in (0, 1).
     - `facilitation`: f, in (0, 1).
@@ -133,30 +127,29 @@ def stp(
     **Raises:** `InputError` if `spikes` are not such an array, `key` is outside, or a parameter is out of range.
     """
     recording, key, rate = _checked(spikes, key, white_rate)
-    if _index(history, "history") < 0:
-        raise InputError(f"history is {history}, but it must be a whole number of frames, 0 or more.")
+    history = whole(history, "history", 0)
     synapse = _Synapse(
         recording.shape[1] * recording.shape[2],
-        _between("base_release", base_release, 1.0, "a part of the resources"),
-        _between("facilitation", facilitation, 1.0, "a part of what is left to facilitate"),
-        _between("depression_time", depression_time, math.inf, "in spike frames"),
-        _between("facilitation_time", facilitation_time, math.inf, "in spike frames"),
+        number(base_release, "base_release", lambda v: 0 < v < 1, "between 0 and 1, a share of the resources"),
+        number(facilitation, "facilitation", lambda v: 0 < v < 1, "between 0 and 1, a share of what is left"),
+        number(depression_time, "depression_time", lambda v: v > 0, "above 0, in spike frames"),
+        number(facilitation_time, "facilitation_time", lambda v: v > 0, "above 0, in spike frames"),
     )
     last = np.full(synapse.size, -1)
-    for t in range(max(key - operator.index(history), 0), key):
+    for t in range(max(key - history, 0), key):
         fired = np.flatnonzero(recording[t])
         known = fired[last[fired] >= 0]
-        synapse.hear(known, (t - last[known]).astype(np.float64))
+        synapse.receive(known, (t - last[known]).astype(np.float64))
         last[fired] = t
     before, after = (a.ravel() for a in _spikes_around(recording, key))
     closed = np.flatnonzero((before >= 0) & (after < len(recording)))
-    synapse.hear(closed, (after - before)[closed].astype(np.float64))
-    heard = np.flatnonzero(synapse.settled)
+    synapse.receive(closed, (after - before)[closed].astype(np.float64))
+    known = np.flatnonzero(synapse.settled)
     image = tfi(recording, key, white_rate=rate).ravel()
-    told = synapse.rate(heard)
-    unfinished = after[heard] == len(recording)
-    silence = np.maximum(len(recording) - 1 - before[heard], 1)
-    image[heard] = np.where(unfinished, np.minimum(told, 1 / silence), told) / rate
+    rates = synapse.rate(known)
+    unfinished = after[known] == len(recording)
+    silence = np.maximum(len(recording) - 1 - before[known], 1)
+    image[known] = np.where(unfinished, np.minimum(rates, 1 / silence), rates) / rate
     return image.reshape(recording.shape[1:])
 
 
@@ -182,7 +175,7 @@ class _Synapse:
         u = self._u0 + lift
         return u + lack * (1 - u), lift + self._f * (1 - u)
 
-    def hear(self, which: Int[np.ndarray, " n"], interval: Float[np.ndarray, " n"]) -> None:
+    def receive(self, which: Int[np.ndarray, " n"], interval: Float[np.ndarray, " n"]) -> None:
         """A spike at each of the synapses `which`, `interval` frames after the one before it."""
         new = ~self.settled[which]
         first, waited = which[new], interval[new]
@@ -234,8 +227,8 @@ def _search(recording: UInt8[np.ndarray, "T h w"], times: range, missing: int) -
 
 def _longest_known_gap(trains: UInt8[np.ndarray, "T n"], key: int) -> Float[np.ndarray, " n"]:
     """Frames by which to bound pixels that have no spike before `key`, or none from it on."""
-    frames, number = trains.shape
-    if number == 0:
+    frames, count = trains.shape
+    if count == 0:
         return np.zeros(0)
     silent_after = ~trains[key:].any(0)
     seen_from_end = np.where(silent_after, trains[::-1], trains)  # as if the key always lay in the first, cut-off gap
@@ -246,7 +239,7 @@ def _longest_known_gap(trains: UInt8[np.ndarray, "T n"], key: int) -> Float[np.n
 
 
 def _first_two(trains: Bool[np.ndarray, "T n"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """When each train fires for the first and for the second time; T where it does not."""
+    """The frames at which each train fires for the first and for the second time; T where it does not."""
     frames = len(trains)
     count = np.cumsum(trains, 0, dtype=np.int32)
     first, second = (np.where(count[-1] >= n, np.argmax(count >= n, 0), frames) for n in (1, 2))
@@ -257,28 +250,4 @@ def _checked(spikes: Any, key: Any, white_rate: Any) -> tuple[UInt8[np.ndarray, 
     array = as_array(spikes, "The array of spikes")
     checked_shape(array.shape, "The array of spikes")
     recording = as_spikes(array, "The array of spikes")
-    frame = _index(key, "key")
-    if not 0 <= frame < len(recording):
-        raise InputError(
-            f"Key frame {frame} is not in the recording of {len(recording)} frames: choose one from 0 to "
-            f"{len(recording) - 1}."
-        )
-    return recording, frame, checked_white_rate(white_rate)
-
-
-def _index(value: Any, name: str) -> int:
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise InputError(f"{name} is {value!r}, but frames are counted in whole numbers.") from None
-
-
-def _between(name: str, value: Any, below: float, unit: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not 0 < number < below:
-        limit = "above 0" if below == math.inf else f"between 0 and {below:g}"
-        raise InputError(f"{name} is {value!r}, but it must be a finite number {limit}, {unit}.")
-    return number
+    return recording, whole(key, "key", 0, len(recording) - 1), checked_white_rate(white_rate)

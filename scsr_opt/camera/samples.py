@@ -8,11 +8,11 @@ time axis on which frame t sits at t. (Taking the frames a+1 … b instead would
 
 **Ends.** Before its first spike a pixel gathers what its charge then lacked of θ, after its last one what will be left
 over: anything from 0 to θ, ½θ in the mean. Either end is a sample of ½θ over the time that it lasted; a pixel that
-never fired is one of 0 over the whole recording. They are rough, θ/√12, and get `ENDS` of the weight of an interval as
-long. Dark pixels, however, have little else, and without their ends those few that happened to fire twice would speak
-for all. One factor for all ends keeps Σ ω (Y − I) at mean 0 for constant light I of every level (docs/data-term.md),
-which no factor that depends on the sample's own duration or number of spikes does. (`scsr_opt.pipeline.visibility`
-makes ends, too, where a pixel is seen for a part of the recording only.)
+never fired is one of 0 over the whole recording. They are rough, θ/√12, and get `END_WEIGHT` of the weight of an
+interval as long. Dark pixels, however, have little else, and without their ends those few that happened to fire twice
+would decide for all. One factor for all ends keeps Σ ω (Y − I) at mean 0 for constant light I of every level
+(docs/data-term.md), which no factor that depends on the sample's own duration or number of spikes does.
+(`scsr_opt.pipeline.visibility` makes ends, too, where a pixel is seen for a part of the recording only.)
 
 **Windows.** A fixed window of n frames that holds c spikes measures Y = c·θ / n, with an error of up to θ.
 
@@ -30,17 +30,17 @@ from scsr_opt._threads import in_threads
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
 
-ENDS = 0.1
+END_WEIGHT = 0.1
 """Weight of the time before a pixel's first and after its last spike, beside that of as long an interval (measured)."""
 
-RUN = 4
-"""Intervals of one frame that follow one another are merged up to so many frames."""
+RUN_FRAMES = 4
+"""Frames, at most, of a run of intervals of one frame that is merged."""
 
-# From so many samples on, working through what only pads them costs more than compiling for another length.
-_MANY = 1 << 20
+# Number of samples from which on working through what only pads them costs more than compiling for another length.
+_FINELY_PADDED_FROM = 1 << 20
 
-# Pixels whose intervals are found at once: what that takes stays in the cache, and several are worked on side by side.
-_BAND = 2048
+# Pixels whose intervals are found at once: what that takes stays in the cache.
+_BAND_PIXELS = 2048
 
 
 class Samples(eqx.Module):
@@ -62,7 +62,7 @@ class Samples(eqx.Module):
 
     @property
     def count(self) -> int:
-        """How many samples take part (weight above 0)."""
+        """The number of samples that take part (weight above 0)."""
         return int(np.count_nonzero(self.weight))
 
     def mean_light(self, shape: tuple[int, int]) -> Float[np.ndarray, "h w"]:
@@ -72,7 +72,7 @@ class Samples(eqx.Module):
         return (light / np.where(weight > 0, weight, 1)).reshape(shape)
 
     def padded(self) -> "Samples":
-        """The same samples, padded with weight 0 to one of few lengths.
+        """These samples, padded with weight 0 to one of few lengths.
 
         Code that was compiled for one number of samples then serves for others.
         """
@@ -87,9 +87,9 @@ class Samples(eqx.Module):
 
 
 def padded_length(n: int) -> int:
-    """The length that n samples are padded to: 2^e or 3·2^e, at least 1024, so that up to half as many are added; from
-    a million on also 5·2^e or 7·2^e."""
-    step = 1 << max(0, n.bit_length() - (2 if n < _MANY else 3))
+    """The length that n samples are padded to: 2^e or 3·2^e, at least 1024, so that at most half of n is added; from a
+    million on also 5·2^e or 7·2^e."""
+    step = 1 << max(0, n.bit_length() - (2 if n < _FINELY_PADDED_FROM else 3))
     return max(n + -n % step, 1024)
 
 
@@ -98,24 +98,24 @@ def spike_intervals(
     *,
     white_rate: float = 0.6,
     shortest: int | Int[np.ndarray, "h w"] = 1,
-    run: int | Int[np.ndarray, "*blocks h w"] = RUN,
+    run: int | Int[np.ndarray, "*blocks h w"] = RUN_FRAMES,
     first_frame: int = 0,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
-    ends: float | int = ENDS,
+    ends: float | int = END_WEIGHT,
 ) -> Samples:
     """Samples from the intervals between spikes, pixel by pixel, then those from the ends (see above).
 
     Neighbouring intervals of a pixel are merged until each merged one lasts about `shortest` frames: the first spike in
     each block of `shortest` frames is an end, whatever lies between is counted. Merging loses nothing where nothing
     moves during `shortest` frames, and leaves fewer samples to handle. So does merging intervals of one frame that
-    follow one another, up to `run`: the pixel is saturated, and each says the same.
+    follow one another, up to `run`: the pixel is saturated, and each measures the same.
 
     **Arguments:**
     - `spikes`: (T, h, w), 0 or 1.
     - `white_rate`: spikes per frame of a pixel at intensity 1; θ = 1 / white_rate.
     - `shortest`: frames, at least 1; one number or one per pixel. Pixels with T or more come after the others.
     - `run`: frames, at least 1, over which intervals of one frame are merged; 1 leaves each a sample of its own. One
-      number, one per pixel, or (n, h, w), one per pixel for every `RUN` frames, the last of them for all that follow.
+      number, one per pixel, or (n, h, w), one per pixel for every `RUN_FRAMES`, the last of them for all that follow.
     - `first_frame`: time of `spikes[0]`, in frames.
     - `bad_pixels`: (h, w), true where a pixel must not be used.
     - `ends`: weight of the ends per frame, from 0 to 1; with 0 there are none, and no pixel that fired less than twice.
@@ -149,7 +149,7 @@ def spike_intervals(
             weight=duration * np.float32(factor),
         )
 
-    bands = np.array_split(others, max(1, others.size // _BAND))
+    bands = np.array_split(others, max(1, others.size // _BAND_PIXELS))
     parts = in_threads(lambda pixels: made(_between(fired, pixels, merged, runs)), bands)
     if ends > 0 or still.any():
         times = SpikeTimes.of(fired)
@@ -160,7 +160,7 @@ def spike_intervals(
 
 
 def mean_light(
-    times: SpikeTimes, begin: int, end: int, *, white_rate: float | int, ends: float | int = ENDS
+    times: SpikeTimes, begin: int, end: int, *, white_rate: float | int, ends: float | int = END_WEIGHT
 ) -> Float[np.ndarray, "*pixels"]:
     """Mean intensity of pixels from frame `begin` to `end` (exclusive), of which these are the spike times: that of all
     samples of `spike_intervals` with `shortest=end - begin`, which are not made for it; 0 where there is none. `ends`,
@@ -179,17 +179,17 @@ def _between(
     shortest: Int[np.ndarray, " hw"],
     runs: Int[np.ndarray, "blocks hw"],
 ) -> tuple[np.ndarray, ...]:
-    """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as `spike_intervals` says."""
+    """Pixel, start, stop and spikes counted of the intervals of some pixels, merged as by `spike_intervals`."""
     frames = len(fired)
     by_pixel = np.ascontiguousarray(fired[:, pixels].T).astype(bool, copy=False)
     order = np.flatnonzero(by_pixel).astype(np.int32)  # by pixel, then by time
     pixel = np.repeat(np.arange(pixels.size, dtype=np.int32), np.count_nonzero(by_pixel, axis=1))
     time = order - pixel * np.int32(frames)
-    # Runs of spikes in frame after frame: the pixel is saturated, and all of them say the same.
+    # Runs of spikes in frame after frame: the pixel is saturated, and all of them measure the same.
     follows = (order[1:] - order[:-1] == 1) & (pixel[1:] == pixel[:-1])
     within = np.flatnonzero(follows[1:] & follows[:-1]) + 1
     at = time[within]
-    block = np.minimum(at // RUN, len(runs) - 1)
+    block = np.minimum(at // RUN_FRAMES, len(runs) - 1)
     left_out = within[at % runs[block, pixels[pixel[within]]] != 0]
     order = np.arange(order.size, dtype=np.int32)
     if left_out.size:
@@ -217,7 +217,7 @@ def _throughout(times: SpikeTimes, pixels: Int[np.ndarray, " pixels"]) -> tuple[
 
 
 def _ends(times: SpikeTimes, frames: int, good: Bool[np.ndarray, " pixels"]) -> tuple[np.ndarray, ...]:
-    """The same of all ends; frame t covers [t − ½, t + ½]."""
+    """Pixel, start, stop and thresholds gathered of all ends; frame t covers [t − ½, t + ½]."""
     lit, dark = np.flatnonzero(good & (times.count > 0)), np.flatnonzero(good & (times.count == 0))
     opening, closing = np.full(lit.size, -0.5), np.full(lit.size, frames - 0.5)
     return (

@@ -1,4 +1,4 @@
-"""How a recording becomes samples: the choice that `reconstruct` offers as `samples`."""
+"""Rules that make samples of a recording: the choice that `reconstruct` offers as `samples`."""
 
 import abc
 from numbers import Integral, Real
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int, Shaped
 
 from scsr_opt._validation import check_type
 from scsr_opt.camera.noise import Noise
-from scsr_opt.camera.samples import ENDS, RUN, Samples, spike_intervals, windows
+from scsr_opt.camera.samples import END_WEIGHT, RUN_FRAMES, Samples, spike_intervals, windows
 from scsr_opt.errors import InputError
 
 
@@ -23,7 +23,7 @@ class SamplingRule(eqx.Module):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
-        run: int | Int[np.ndarray, "*blocks h w"] = RUN,
+        run: int | Int[np.ndarray, "*blocks h w"] = RUN_FRAMES,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         """The samples of a recording.
@@ -45,7 +45,7 @@ class Intervals(SamplingRule):
     **Raises:** `InputError` for other weights, or for a `noise` that is none.
     """
 
-    ends: float | int = ENDS
+    ends: float | int = END_WEIGHT
     noise: Noise | None = None
 
     def __check_init__(self):
@@ -59,7 +59,7 @@ class Intervals(SamplingRule):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
-        run: int | Int[np.ndarray, "*blocks h w"] = RUN,
+        run: int | Int[np.ndarray, "*blocks h w"] = RUN_FRAMES,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         return spike_intervals(
@@ -91,7 +91,7 @@ class Windows(SamplingRule):
         *,
         white_rate: float | int,
         still_for: Int[np.ndarray, "h w"],
-        run: int | Int[np.ndarray, "*blocks h w"] = RUN,
+        run: int | Int[np.ndarray, "*blocks h w"] = RUN_FRAMES,
         bad_pixels: Bool[np.ndarray, "h w"] | None = None,
     ) -> Samples:
         return windows(spikes, length=self.length, white_rate=white_rate, bad_pixels=bad_pixels)

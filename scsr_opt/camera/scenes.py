@@ -20,13 +20,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.linalg import expm
 
+from scsr_opt._validation import number
 from scsr_opt.camera.pictures import Picture, as_intensity
 from scsr_opt.errors import InputError
 
-KEY = 50.0
+KEY_FRAME = 50.0
 """Key time where none is given: the middle of the simulator's 101 frames."""
 # Of positions, times and speeds: where a picture lies after a million frames is still known to a hundredth of a pixel.
-_FARTHEST = 1e6
+_MOST_COORDINATE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class SteadyMotion:
         return np.stack([gradient[i, 0] * r + gradient[i, 1] * c + self.drift[i] for i in range(2)])
 
     def picture(self, still: Picture, size: tuple[int, int], elapsed: float | int) -> Float[np.ndarray, "H W"]:
-        """What is seen `elapsed` frames after `still` lay where it was given."""
+        """The view `elapsed` frames after `still` lay where it was given."""
         height, width = size
         rows, columns = np.arange(height, dtype=float), np.arange(width, dtype=float)
         if self.gradient is None or not self.gradient.any():
@@ -74,7 +75,7 @@ class Scene(abc.ABC):
     **Attributes:**
     - `size`: (H, W), HR pixels.
     - `key`: the reference time, spike frames: pictures lie where they were given at this time.
-    - `span`: first and last time that it is known at; endless unless a scene says otherwise.
+    - `span`: first and last time that it is known at; endless by default.
     """
 
     size: tuple[int, int]
@@ -119,7 +120,7 @@ class Static(_Still):
     **Arguments:** `picture` (H, W), see `as_intensity`; `key`, spike frames.
     """
 
-    def __init__(self, picture: Any, *, key: float | int = KEY):
+    def __init__(self, picture: Any, *, key: float | int = KEY_FRAME):
         super().__init__(picture, SteadyMotion(), key)
 
 
@@ -134,7 +135,7 @@ class Translation(_Still):
     **Raises:** `InputError` if `velocity` is not two numbers up to a million.
     """
 
-    def __init__(self, picture: Any, velocity: Any, *, key: float | int = KEY):
+    def __init__(self, picture: Any, velocity: Any, *, key: float | int = KEY_FRAME):
         super().__init__(picture, SteadyMotion(_pair(velocity, "velocity", "HR pixels per frame")), key)
 
 
@@ -163,7 +164,7 @@ class Affine(_Still):
         shear: float | int = 0.0,
         drift: Any = (0.0, 0.0),
         centre: Any = None,
-        key: float | int = KEY,
+        key: float | int = KEY_FRAME,
     ):
         still = Picture(picture)
         turn = _number(rotation, "rotation", "radians per frame", math.tau)
@@ -185,7 +186,7 @@ class Ellipse:
         _check_extent(self, self.semi_rows, self.semi_columns)
 
     def coverage(self, rows: Float[np.ndarray, "H 1"], columns: Float[np.ndarray, "1 W"]) -> Float[np.ndarray, "H W"]:
-        """How much of each pixel is covered, 0..1, at positions counted from the centre."""
+        """Share of each pixel that is covered, 0 to 1, at positions counted from the centre."""
         y, x = rows / self.semi_rows, columns / self.semi_columns
         radius = np.hypot(y, x)
         # Distance to the edge to first order, exact for a circle; |∇radius| has no value at the centre, where it is not
@@ -205,7 +206,7 @@ class Box:
         _check_extent(self, self.half_rows, self.half_columns)
 
     def coverage(self, rows: Float[np.ndarray, "H 1"], columns: Float[np.ndarray, "1 W"]) -> Float[np.ndarray, "H W"]:
-        """How much of each pixel is covered, 0..1, at positions counted from the centre."""
+        """Share of each pixel that is covered, 0 to 1, at positions counted from the centre."""
         return _covered(rows, self.half_rows) * _covered(columns, self.half_columns)
 
 
@@ -277,7 +278,7 @@ class MovingObject(_Layered):
         *,
         shape: Any = None,
         position: Any = None,
-        key: float | int = KEY,
+        key: float | int = KEY_FRAME,
     ):
         still = as_intensity(picture)
         super().__init__(
@@ -321,7 +322,7 @@ class TurningDisc(_Layered):
         *,
         radius: float | int | None = None,
         centre: Any = None,
-        key: float | int = KEY,
+        key: float | int = KEY_FRAME,
     ):
         behind = as_intensity(background, "The background")
         reach = 0.4 * min(behind.shape) if radius is None else radius
@@ -361,16 +362,8 @@ def _middle(size: tuple[int, int]) -> tuple[float, float]:
     return ((size[0] - 1) / 2, (size[1] - 1) / 2)
 
 
-def _number(value: Any, name: str, unit: str, most: float = _FARTHEST) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not abs(number) <= most:
-        raise InputError(
-            f"{name} is {value!r}, but it must be a finite number, {unit}, of {most:.3g} at most either way."
-        )
-    return number
+def _number(value: Any, name: str, unit: str, most: float = _MOST_COORDINATE) -> float:
+    return number(value, name, lambda v: abs(v) <= most, f"from {-most:.3g} to {most:.3g}, {unit}")
 
 
 def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
@@ -378,10 +371,10 @@ def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
         first, second = (float(v) for v in value)
     except (TypeError, ValueError):
         first = second = math.nan
-    if not (abs(first) <= _FARTHEST and abs(second) <= _FARTHEST):
+    if not (abs(first) <= _MOST_COORDINATE and abs(second) <= _MOST_COORDINATE):
         raise InputError(
-            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of {_FARTHEST:.3g} at "
-            f"most either way."
+            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of "
+            f"{_MOST_COORDINATE:.3g} at most either way."
         )
     return (first, second)
 

@@ -7,41 +7,23 @@ frames.
 """
 
 import math
-import operator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import gaussian_filter
 
+from scsr_opt._validation import number, whole
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.scenes import Scene
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress, check_progress
 
-DARK_ELECTRONS = 1000.0
-"""Thermal electrons that make as much charge as white does in one frame, where `photons` does not say (no shot
-noise)."""
-# The numbers of photons and electrons that are drawn are 64-bit ones.
-_FEWEST_PHOTONS, _MOST_PHOTONS, _DARKEST = 1e-6, 1e12, 1e6
-
-
-def _real(value: Any) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan
-
-
-def _check(name: str, value: Any, good: bool, allowed: str) -> None:
-    if not good:
-        raise InputError(f"{name} is {value!r}, but it must be a number {allowed}.")
-
 
 @dataclass(frozen=True)
 class Sensor:
-    """What the camera is like. Without arguments an ideal one: nothing but the quantisation into spikes.
+    """Properties of a camera. Without arguments an ideal one: nothing but the quantisation into spikes.
 
     **Fields:**
     - `white_rate`: spikes per frame of a pixel at intensity 1; the threshold is θ = 1 / `white_rate`, in frames of
@@ -54,11 +36,17 @@ class Sensor:
       mean.
     - `fixed_pattern`: standard deviation of the pixels' gain about 1 (normal, cut at 0). The gain multiplies light, not
       dark charge. Real recordings: about 0.06.
-    - `dead`, `hot`: fractions of the pixels that never fire, and that fire in every frame; to the nearest whole pixel.
+    - `dead`, `hot`: shares of the pixels that never fire, and that fire in every frame; to the nearest whole pixel.
     - `psf_sigma`: standard deviation of the optics' Gaussian blur, HR pixels.
 
     **Raises:** `InputError` if one is out of range.
     """
+
+    # Thermal electrons that make as much charge as white does in one frame, where `photons` is infinite.
+    DARK_ELECTRONS: ClassVar[float] = 1000.0
+    # Limits below which the numbers of photons and electrons that are drawn fit into 64 bits.
+    PHOTONS: ClassVar[tuple[float, float]] = (1e-6, 1e12)
+    MOST_DARK_RATE: ClassVar[float] = 1e6
 
     white_rate: float | int = WHITE_RATE
     photons: float | int = math.inf
@@ -70,28 +58,16 @@ class Sensor:
 
     def __post_init__(self):
         checked_white_rate(self.white_rate)
-        _check(
-            "photons",
-            self.photons,
-            _FEWEST_PHOTONS <= _real(self.photons) <= _MOST_PHOTONS or _real(self.photons) == math.inf,
-            f"from {_FEWEST_PHOTONS:g} to {_MOST_PHOTONS:g}, in photons per frame of white, or infinite",
-        )
-        _check(
-            "dark_rate",
-            self.dark_rate,
-            0 <= _real(self.dark_rate) <= _DARKEST,
-            f"from 0 to {_DARKEST:g}, as an intensity (1 = white)",
-        )
-        _check(
-            "fixed_pattern",
-            self.fixed_pattern,
-            0 <= _real(self.fixed_pattern) < 1,
-            "from 0 to below 1, a relative spread",
-        )
-        _check("psf_sigma", self.psf_sigma, 0 <= _real(self.psf_sigma) < math.inf, "0 or more, in HR pixels")
+        fewest, most = self.PHOTONS
+        if self.photons != math.inf:
+            limits = f"from {fewest:g} to {most:g}, in photons per frame of white, or infinite"
+            number(self.photons, "photons", lambda v: fewest <= v <= most, limits)
+        darkest = self.MOST_DARK_RATE
+        number(self.dark_rate, "dark_rate", lambda v: 0 <= v <= darkest, f"from 0 to {darkest:g}, as an intensity")
+        number(self.fixed_pattern, "fixed_pattern", lambda v: 0 <= v < 1, "from 0 to below 1, a relative spread")
+        number(self.psf_sigma, "psf_sigma", lambda v: v >= 0, "of at least 0, in HR pixels")
         for name in ("dead", "hot"):
-            value = getattr(self, name)
-            _check(name, value, 0 <= _real(value) <= 1, "from 0 to 1, a fraction of the pixels")
+            number(getattr(self, name), name, lambda v: 0 <= v <= 1, "from 0 to 1, a share of the pixels")
         if self.dead + self.hot > 1:
             raise InputError(
                 f"dead = {self.dead:g} and hot = {self.hot:g} are more than all pixels together: lower one of them."
@@ -105,7 +81,7 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What `simulate` recorded, with the truth behind it.
+    """A simulated recording, with the truth behind it.
 
     **Fields:**
     - `spikes`: (T, h, w) uint8, 0 and 1.
@@ -187,15 +163,15 @@ def simulate(
     - `sensor`: the camera.
     - `seed`: the same seed gives the same recording; phase, gain, bad pixels and noise are drawn independently of each
       other, so that switching one on leaves the others as they were.
-    - `progress`: told of every frame (see `scsr_opt.report`).
+    - `progress`: receives every frame done (see `scsr_opt.report`).
 
     **Returns:** `Simulation`.
 
     **Raises:** `InputError` if `scale` or `frames` is not a whole number of at least 1, the scene is smaller than one
-    sensor pixel or not known for so long, the sensor's optics blur over more than the scene, or `seed` is negative.
+    sensor pixel or not known for all frames, the sensor's optics blur over more than the scene, or `seed` is negative.
     """
     check_progress(progress)
-    scale, frames = _whole(scale, "scale", 1), _whole(frames, "frames", 1)
+    scale, frames = whole(scale, "scale", 1), whole(frames, "frames", 1)
     h, w = scene.size[0] // scale, scene.size[1] // scale
     if h == 0 or w == 0:
         raise InputError(
@@ -213,7 +189,7 @@ def simulate(
             f"{scene.span[1]:g} only: ask for {math.floor(scene.span[1]) + 1} frames or fewer, or slow it down."
         )
     phase_rng, gain_rng, bad_rng, noise_rng = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(_whole(seed, "seed", 0)).spawn(4)
+        np.random.default_rng(child) for child in np.random.SeedSequence(whole(seed, "seed", 0)).spawn(4)
     )
     charge = phase_rng.random((h, w))  # in units of θ
     gain = np.maximum(1 + sensor.fixed_pattern * gain_rng.standard_normal((h, w)), 0)
@@ -251,32 +227,22 @@ def _sensor_image(
 
 
 def _gathered(light: Float[np.ndarray, "h w"], sensor: Sensor, rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
-    """What one frame adds, in frames of white light."""
+    """Charge that one frame adds, in frames of white light."""
     if math.isfinite(sensor.photons):
         return rng.poisson(sensor.photons * (light + sensor.dark_rate)) / sensor.photons  # sums of Poissons are Poisson
     if sensor.dark_rate > 0:
-        return light + rng.poisson(DARK_ELECTRONS * sensor.dark_rate, light.shape) / DARK_ELECTRONS
+        return light + rng.poisson(sensor.DARK_ELECTRONS * sensor.dark_rate, light.shape) / sensor.DARK_ELECTRONS
     return light
 
 
 def _bad_pixels(
     sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator
 ) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    number = shape[0] * shape[1]
-    order = rng.permutation(number)
-    dead = round(sensor.dead * number)
-    hot = min(round(sensor.hot * number), number - dead)
-    masks = np.zeros((2, number), bool)
+    pixels = shape[0] * shape[1]
+    order = rng.permutation(pixels)
+    dead = round(sensor.dead * pixels)
+    hot = min(round(sensor.hot * pixels), pixels - dead)
+    masks = np.zeros((2, pixels), bool)
     masks[0, order[:dead]] = True
     masks[1, order[dead : dead + hot]] = True
     return masks[0].reshape(shape), masks[1].reshape(shape)
-
-
-def _whole(value: Any, name: str, least: int) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = least - 1
-    if number < least:
-        raise InputError(f"{name} is {value!r}, but it must be a whole number of at least {least}.")
-    return number

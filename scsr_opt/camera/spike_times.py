@@ -1,4 +1,4 @@
-"""When the pixels of a recording fired first and last, and how often: what intervals and rates are made from."""
+"""First and last spike of each pixel of a recording, and their number: intervals and rates are made from them."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,11 @@ from scsr_opt._arrays import as_array
 
 # Frames that are looked at before what was found in bytes goes to wider numbers: as far as a byte counts. Bytes take a
 # fifth of the time of anything wider.
-BYTE = 255
+BYTE_FRAMES = 255
 
 
 class SpikeTimes(NamedTuple):
-    """Of every pixel: its `first` and its `last` spike among some frames, and the `count` of its spikes there.
+    """The `first` and the `last` spike of every pixel among some frames, and the `count` of its spikes there.
 
     Frames are counted from the start of the recording; where a pixel did not fire, the first is the recording's length
     and the last is −1.
@@ -25,14 +25,14 @@ class SpikeTimes(NamedTuple):
 
     @classmethod
     def of(cls, spikes: Shaped[np.ndarray, "T *pixels"], begin: int = 0, end: int | None = None) -> "SpikeTimes":
-        """Those of frames `begin` to `end` (exclusive) of a recording of 0 and 1, or of all."""
+        """Spike times of frames `begin` to `end` (exclusive) of a recording of 0 and 1, or of all."""
         frames, end = len(spikes), len(spikes) if end is None else end
         kind = np.int16 if frames < 2**15 else np.int32
         # Both from the far end inwards, so that the larger number is the one that counts, and 0 is none. Choosing by
         # masks takes forty times as long as a maximum.
         since_end, last, count = (np.zeros(spikes.shape[1:], kind) for _ in range(3))
-        for start in range(begin, end, BYTE):
-            stop = min(start + BYTE, end)
+        for start in range(begin, end, BYTE_FRAMES):
+            stop = min(start + BYTE_FRAMES, end)
             until_last, from_first, times = _within(as_bytes(spikes[start:stop]))
             some = times > 0
             np.maximum(last, until_last + kind(start) * some, out=last)
@@ -41,7 +41,7 @@ class SpikeTimes(NamedTuple):
         return cls(np.subtract(kind(frames), since_end, out=since_end), np.subtract(last, 1, out=last), count)
 
     def then(self, following: "SpikeTimes") -> "SpikeTimes":
-        """Those of these frames and of the `following` ones of the same recording."""
+        """Spike times of these frames and of the `following` ones of the recording together."""
         first, last = np.minimum(self.first, following.first), np.maximum(self.last, following.last)
         return SpikeTimes(first, last, self.count + following.count)
 
@@ -60,8 +60,8 @@ def second_spikes(
     seen = np.where(wanted, np.uint8(0), np.uint8(2))
     hit, found = (np.zeros(spikes.shape[1:], np.uint8) for _ in range(2))
     frame = np.zeros(spikes.shape[1:], np.int32)
-    for start in range(0, len(spikes), BYTE):
-        for t, now in enumerate(as_bytes(spikes[start : start + BYTE])):
+    for start in range(0, len(spikes), BYTE_FRAMES):
+        for t, now in enumerate(as_bytes(spikes[start : start + BYTE_FRAMES])):
             if t % 8 == 0 and seen.min(initial=2) == 2:
                 break
             np.equal(seen, 1, out=hit.view(bool))

@@ -99,11 +99,11 @@ class _Player:
     """Playback of a recording at any frame; only the frames around it are read."""
 
     def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int | None):
-        from scsr_opt.camera.playback import WINDOW
+        from scsr_opt.camera.playback import WINDOW_FRAMES
 
         self._recording = recording
         self._method = method
-        self._window = min(WINDOW, recording.frames) if window is None else window
+        self._window = min(WINDOW_FRAMES, recording.frames) if window is None else window
         if not 1 <= self._window <= recording.frames:
             raise InputError(
                 f"--window is {window}, but it must be from 1 to the {recording.frames} frames of the recording."

@@ -1,6 +1,7 @@
 """The optical point-spread function H of Eq. 2 as an explicit convolution."""
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -12,11 +13,6 @@ from numpy.typing import ArrayLike
 from scsr_opt._arrays import as_array
 from scsr_opt.errors import InputError
 from scsr_opt.operators.operator import LinearOperator, picture_shape
-
-# A Gaussian so many standard deviations away is below 1e-21 of its top, nothing beside it in double precision.
-_FARTHEST = 10
-# Pixels up to which a Gaussian may be wide on pictures that are smaller still.
-_ALWAYS = 10
 
 
 class Blur(LinearOperator):
@@ -39,6 +35,11 @@ class Blur(LinearOperator):
     **Errors:** `InputError` for a PSF that is not two-dimensional, has an even side, has a negative value (no light
     is negative, and the step sizes of the solvers rest on it), or cannot be scaled to sum 1.
     """
+
+    # Standard deviations: so far away a Gaussian is below 1e-21 of its top, nothing beside it in double precision.
+    MOST_TRUNCATE: ClassVar[int] = 10
+    # Standard deviation, pixels, that a Gaussian may have on the smallest pictures, too.
+    LEAST_WIDEST: ClassVar[int] = 10
 
     kernels: tuple[Float[Array, "_ _"], ...]
     shape: tuple[int, int] = eqx.field(static=True)
@@ -66,7 +67,7 @@ class Blur(LinearOperator):
                 "columns."
             )
         rows, columns = np.broadcast_to(np.asarray(sigma, float), 2).tolist()
-        most = max(*picture_shape(shape, "Blur"), _ALWAYS)
+        most = max(*picture_shape(shape, "Blur"), cls.LEAST_WIDEST)
         down, right = _gaussian(rows, truncate, most), _gaussian(columns, truncate, most)
         passes = [kernel for kernel in (down[:, None], right[None, :]) if kernel.size > 1]
         return cls._of_passes(shape, passes)
@@ -118,10 +119,10 @@ def _gaussian(sigma: float | int, truncate: float | int, most: int) -> Float[np.
             f"Blur.gaussian was given sigma {sigma}; it is a standard deviation in pixels, for this picture from 0 to "
             f"{most}."
         )
-    if not 0 < truncate <= _FARTHEST:
+    if not 0 < truncate <= Blur.MOST_TRUNCATE:
         raise InputError(
             f"Blur.gaussian was given truncate {truncate}; it is a number of standard deviations above 0 and at most "
-            f"{_FARTHEST}."
+            f"{Blur.MOST_TRUNCATE}."
         )
     radius = int(truncate * sigma + 0.5)
     offset = np.arange(-radius, radius + 1)

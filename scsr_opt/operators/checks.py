@@ -15,11 +15,9 @@ from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.operators.operator import LinearOperator
 
-_FAILURE = 1e-3
-
 
 class DotTest(NamedTuple):
-    """What `dot_test` found.
+    """Result of `dot_test`.
 
     **Fields:**
     - `forward`, `backward`: ⟨A x, y⟩ and ⟨x, A* y⟩.
@@ -81,7 +79,7 @@ def _norm(v: np.ndarray) -> float:
 
 
 class SpectralNorm(NamedTuple):
-    """What `spectral_norm` found.
+    """Result of `spectral_norm`.
 
     **Fields:**
     - `value`: estimate of ‖A‖, never above it (but for rounding).
@@ -117,7 +115,7 @@ def spectral_norm(
     **Arguments:**
     - `operator`: A; either an operator or any linear function, whose adjoint is then taken by `jax.linear_transpose`.
     - `shape`: of x; needed for a function only.
-    - `iterations`, `rtol`: it stops after so many iterations, or when `value` changes by less than `rtol` relative.
+    - `iterations`, `rtol`: it stops after `iterations`, or when `value` changes by less than `rtol` relative.
     - `dtype`: of the computation.
     - `key`: for the start; `jax.random.key(0)` if not given.
 
@@ -158,7 +156,8 @@ def _power_iteration(operator, start: Array, iterations: Int[Array, ""], rtol: F
     first, _ = unit(start)
     begin = (first, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype), jnp.zeros((), jnp.int32))
     _, value, change, done = jax.lax.while_loop(go_on, step, begin)
-    margin = max(1.0, 0.824 * math.sqrt(start.size) / _FAILURE)
+    failure = 1e-3  # chance that the bound does not hold
+    margin = max(1.0, 0.824 * math.sqrt(start.size) / failure)
     upper = value * jnp.exp(math.log(margin) / (2 * done.astype(dtype) - 1))
     return SpectralNorm(value, upper, change, done)
 
@@ -174,7 +173,7 @@ def norm_bound(
     """A certain upper bound on ‖A‖ for an operator without negative entries (warps, blurs, means, their products).
 
     For every positive x, ‖A‖² = ρ(A*A) ≤ max_i (A*A x)_i / x_i (Collatz, 1942). It starts at x = 1, where this is the
-    largest row sum of A*A, and goes on with x ← A*A x, which never makes it worse. For an `Observation`, one
+    largest row sum of A*A, and iterates x ← A*A x, which never makes it worse. For an `Observation`, one
     application is exact for a translation, within 2 % for smooth motion and within 30 % for motion that is random at
     every pixel; five are within 1 %, 1 % and 3 %.
 

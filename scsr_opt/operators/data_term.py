@@ -1,4 +1,4 @@
-"""What is left of samples that were accumulated (`scsr_opt.operators.sampling`): a quadratic in B X, by M and c."""
+"""The data term of accumulated samples (`scsr_opt.operators.sampling`): a quadratic in B X, by M, c and e."""
 
 from typing import Any
 
@@ -61,9 +61,9 @@ class DataTerm(eqx.Module):
         return self.aperture.shape
 
     @property
-    def apart(self) -> bool:
-        """Whether what one sensor pixel gathered says something of its own block of the picture alone, as where nothing
-        moves and the lens is perfect: M is diagonal then, and `prox` is known."""
+    def block_diagonal(self) -> bool:
+        """True where the light of a sensor pixel depends on its own block of the picture alone, as where nothing moves
+        and the lens is perfect: M is diagonal then, and `prox` is known."""
         return isinstance(self.aperture, Downsample) and self.optics is None
 
     def blurred(self, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
@@ -102,7 +102,7 @@ class DataTerm(eqx.Module):
         With D the mean over s×s blocks, D D* = 1/s². So U = D X solves (1 + τ m/s²) U = D image + τ c/s², m the
         diagonal of M and τ the strength, pixel by pixel, and X = image + τ D*(c − m U).
         """
-        assert self.apart
+        assert self.block_diagonal
         area, diagonal = self.aperture.scale**2, self.stencil.planes[0]
         u = (self.aperture(image) + strength * self.target / area) / (1 + strength * diagonal / area)
         value = jnp.sum(u * (0.5 * diagonal * u - self.target)) + 0.5 * self.energy

@@ -1,7 +1,7 @@
 """The motion during exposures, in the data term: exact (`with_exact_exposure`), or as a quadratic with the narrow
 stencil M that touches the exact term at one picture and lies on or above it elsewhere (`with_exposure`).
 
-`scsr_opt.operators.sampling`, where M and c are summed, says why the latter lowers the true objective.
+`scsr_opt.operators.sampling`, where M and c are summed, explains why the latter lowers the true objective.
 """
 
 from typing import Any

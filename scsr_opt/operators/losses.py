@@ -1,4 +1,4 @@
-"""Robust losses: samples that contradict the picture by far more than noise explains lose their say.
+"""Robust losses: samples that contradict the picture by far more than noise explains lose weight.
 
     minimise over X of   Σ_j ω_j ρ(r_j·B X − Y_j) + λ Ψ(X)
 
@@ -114,5 +114,5 @@ def robust_factors(
         scale = jnp.nanmedian(jnp.where(used, size, jnp.nan)) / 0.6745
     else:
         scale = deviation
-    # Where the residuals, or a sample's noise, are 0 throughout, nothing says what is far off.
+    # Where the residuals, or a sample's noise, are 0 throughout, there is no scale for what is far off.
     return jnp.where(used & (scale > 0), loss.weights(size / jnp.where(scale > 0, scale, 1)), 1)

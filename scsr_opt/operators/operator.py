@@ -1,7 +1,7 @@
 """Linear operators: what the data term of Eq. 4 is made of.
 
 An operator is a value (a frozen Equinox module) with a forward map, its exact adjoint, and the shapes of both sides. It
-carries no dtype of its own: results have the dtype of the picture handed in, so one operator serves float32 and
+carries no dtype of its own: results have the dtype of the picture, so one operator serves float32 and
 float64. Shapes are known beforehand because a dot-test, a norm or a start value can then be made without asking the
 caller for an example.
 

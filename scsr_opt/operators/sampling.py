@@ -36,9 +36,11 @@ from scsr_opt.operators.data_term import DataTerm, Stencil
 from scsr_opt.operators.downsample import Downsample
 from scsr_opt.operators.operator import LinearOperator
 
-# Samples are visited so many at a time, if their number allows, but not fewer than so many; twice as many where there
-# are a million or more, as two threads share each step (docs/measurements.md, "What a picture of a sequence takes").
-_PIECE, _LEAST_PIECE, _MILLION = 8192, 256, 2**20
+# Samples that are visited at a time, if their number allows, and the fewest.
+_PIECE_SAMPLES = 8192
+_LEAST_PIECE_SAMPLES = 256
+# From this number of samples on, pieces are twice as large: two threads share each step.
+_LARGE_PIECES_FROM = 2**20
 
 # Where the positions of an exposure lie, in exposures from its middle: two and three at the nodes of equal weight that
 # integrate polynomials of the highest degree (Chebyshev, 1874, "Sur les quadratures"), five, which exposures of any
@@ -70,7 +72,7 @@ class Taps(eqx.Module):
 
     @property
     def weights(self) -> tuple[Array, Array, Array, Array]:
-        """Of the upper left, upper right, lower left and lower right tap."""
+        """Weights of the upper left, upper right, lower left and lower right tap."""
         down, right = self.down, self.right
         return (1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right
 
@@ -78,7 +80,7 @@ class Taps(eqx.Module):
 class PlacedSamples(eqx.Module):
     """Samples with the positions on the grid of U that each was taken at, ready to be read and accumulated.
 
-    Each sample has as many positions as its exposure needs, 1, 2, 3 or 5, K at most. Samples are visited in pieces, and
+    Each sample has 1, 2, 3 or 5 positions, as its exposure needs, K at most. Samples are visited in pieces, and
     pieces none of which has a k-th position, or a weight, are passed over: the work follows the positions that there
     are, while programs depend on n and K only.
 
@@ -117,7 +119,7 @@ class PlacedSamples(eqx.Module):
         grid = 1 if self.on_sensor else self.scale
         height, width = (side // grid for side in self.shape)
         row, column = jnp.divmod(self.taps.index[0], self.shape[1])
-        # An aperture begins at its place and reaches over so many of the grid's: what is asked for is its centre.
+        # An aperture begins at its place and reaches over `grid` of the grid's pixels: its centre counts.
         row, column = (row + grid // 2) // grid, (column + grid // 2) // grid
         nothing = jnp.zeros(height * width, self.weight.dtype)
         return nothing.at[row * width + column].add(self.weight).reshape(height, width)
@@ -136,11 +138,11 @@ class PlacedSamples(eqx.Module):
     @eqx.filter_jit
     def spread(self, values: Float[Array, " n"]) -> Float[Array, "H W"]:
         """Σ_j values_j r_j, the adjoint of `read`. It can be differentiated by the values, and by nothing else."""
-        return _spread(values, self.apart)
+        return _spread(values, self.with_fixed_values)
 
     @property
-    def apart(self) -> "PlacedSamples":
-        """The same, with values that nothing is differentiated by."""
+    def with_fixed_values(self) -> "PlacedSamples":
+        """These samples, with values that nothing is differentiated by."""
         return eqx.tree_at(lambda placed: placed.value, self, jax.lax.stop_gradient(self.value))
 
     def add(self, total: Float[Array, " pixels"], taps: Taps, amount: Float[Array, " m"]) -> Float[Array, " pixels"]:
@@ -185,8 +187,8 @@ class PlacedSamples(eqx.Module):
 
     @eqx.filter_jit
     def rows(self) -> Int[Array, "2 pieces"]:
-        """Of each piece of the samples, the first row of U that it is read from, and the last but one; the first is
-        after the last where nothing is."""
+        """The first row of U that each piece of the samples is read from, and the last but one; the first is after the
+        last where a piece reads nothing."""
         begins, size = _pieces(self.weight.size)
         height, width = self.shape
 
@@ -207,12 +209,12 @@ class PlacedSamples(eqx.Module):
         return jax.lax.map(piece, begins).T // width
 
     def share(self, number: Int[Array, ""] | int, amount: Float[Array, " n"]) -> Float[Array, " n"]:
-        """What the position of this number has of each sample's amount."""
+        """The share of each sample's amount that belongs to the position of this number, (n,)."""
         return jnp.where(number < self.positions, amount / jnp.maximum(self.positions, 1).astype(amount.dtype), 0)
 
     @property
     def numbers(self) -> Int[Array, " positions"]:
-        """Of the positions: 0, …, K − 1."""
+        """Numbers of the positions: 0, …, K − 1."""
         return jnp.arange(self.finest, dtype=jnp.int32)
 
 
@@ -249,14 +251,14 @@ class Piece:
         return jax.lax.dynamic_slice_in_dim(field, self._begin, self._size)
 
     def taps(self, number: Int[Array, ""]) -> Taps:
-        """Of the positions of this number."""
+        """Taps of the positions of this number."""
         size = (1, self._size)
         return jax.tree.map(
             lambda field: jax.lax.dynamic_slice(field, (number, self._begin), size)[0], self._placed.taps
         )
 
     def most(self, amount: Float[Array, " m"]) -> Int[Array, ""]:
-        """Of the positions of these samples, 0 where none of them has an amount."""
+        """The largest number of positions of these samples; 0 where none of them has an amount."""
         return jnp.where(jnp.any(amount != 0), jnp.max(self.positions), 0)
 
 
@@ -272,16 +274,16 @@ def read_at(u: Float[Array, "H W"], taps: Taps) -> Float[Array, "*n"]:
 def moments(
     start: Float[Array, " n"], stop: Float[Array, " n"], positions: Int[Array, " n"], number: Int[Array, ""] | int
 ) -> Float[Array, " n"]:
-    """When exposures are at their position of this number, frames, if `positions` of them lie on each."""
+    """Time, frames, of the position of this `number` on each exposure that has `positions` of them."""
     nodes = jnp.asarray(_TABLE, start.dtype).T[number]
     return (start + stop) / 2 + (stop - start) * nodes[positions]
 
 
 def _pieces(samples: int) -> tuple[Int[Array, " pieces"], int]:
-    """The numbers that pieces of n samples begin at, and their size: the largest power of two up to `_PIECE`, or twice
-    that, that divides n; all in one piece if that is small."""
-    most = math.gcd(samples, _PIECE if samples < _MILLION else 2 * _PIECE)
-    size = most if most >= _LEAST_PIECE else max(samples, 1)
+    """Indices that pieces of n samples begin at, and their size: the largest power of two up to `_PIECE_SAMPLES` (or
+    twice that) that divides n; all in one piece if that is small."""
+    most = math.gcd(samples, _PIECE_SAMPLES if samples < _LARGE_PIECES_FROM else 2 * _PIECE_SAMPLES)
+    size = most if most >= _LEAST_PIECE_SAMPLES else max(samples, 1)
     return jnp.arange(0, samples, size, dtype=jnp.int32), size
 
 
@@ -296,7 +298,7 @@ def place(
     finest: int = 1,
     on_sensor: bool = False,
 ) -> PlacedSamples:
-    """Where each sample was taken, on the grid of U.
+    """The places on the grid of U at which each sample was taken.
 
     **Arguments:**
     - `samples`: as device arrays, padded.
@@ -379,7 +381,7 @@ def accumulate(
     """
     height, width = placed.shape
     weight = placed.weight if robust is None else placed.weight * robust
-    planes, target = _sums(placed.value, placed.apart, weight)
+    planes, target = _sums(placed.value, placed.with_fixed_values, weight)
     return DataTerm(
         stencil=Stencil(jnp.stack(planes).reshape(5, height, width)),
         target=target.reshape(height, width),

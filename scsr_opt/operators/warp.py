@@ -53,7 +53,7 @@ class Warp(LinearOperator):
 
     @property
     def valid(self) -> Bool[Array, "H W"]:
-        """Where the output shows the picture."""
+        """True where the output shows the picture."""
         (_, _, inside_rows), (_, _, inside_columns) = self._axis(0), self._axis(1)
         return inside_rows & inside_columns
 

@@ -1,4 +1,4 @@
-"""All that is found before the first iteration: motion, gains, samples, strength, and the problem that they make."""
+"""Stages before the first iteration: motion, gains, samples, strength, and the problem that they make."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -29,9 +29,6 @@ from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.quasi_newton import LBFGS
-
-OPTICS_LEAST_PIXELS = 100
-"""Sensor pixels, at least, for a tenth of them to be predicted from the others when the lens is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +63,7 @@ class Assembly:
 
     @property
     def usable(self) -> bool:
-        """Whether there is any sample to reconstruct from."""
+        """True where there is any sample to reconstruct from."""
         return bool(self.task.clip.spikes.any()) and bool(jnp.any(self.measurements.placed.weight > 0))
 
     @property
@@ -82,7 +79,7 @@ class Assembly:
         return Problem(data, self.method.prior, self.method.strength, start=self.image)
 
     def solve(self, state: Any = None) -> Majorized:
-        """Solves from `image`, or goes on from `state`."""
+        """Solves from `image`, or from the `state` of a similar problem."""
         return self.method(self.measurements.placed, self.image, state, near=self.near, term=self.term)
 
     def with_validated_strength(self) -> "Assembly":
@@ -112,12 +109,12 @@ def assemble_task(task: Task) -> Assembly:
 
     options, clip, prior = task.options, task.clip, task.options.prior
     assert prior is not None  # Options.validated
-    shortcuts, frames = options.shortcuts, None
+    shortcuts, settings, frames = options.shortcuts, options.settings, None
     if task.estimator is not None:
         frames = task.motion_frames(options.known_gain)
     with ThreadPoolExecutor(1) as executor:  # what does not depend on the motion, beside it
-        noise_task = executor.submit(noise_of_mean, clip)
-        image_task = executor.submit(initial_image, clip, task.shape, sharp=True)
+        noise_task = executor.submit(noise_of_mean, clip, settings.strength)
+        image_task = executor.submit(initial_image, clip, task.shape, sharp=True, settings=settings.sampling)
         early = options.finds_gain and shortcuts.sampled_gains  # little work, where windows of the sensor tell
         rest_task = executor.submit(task.estimate_gain_at_rest) if early else None
         motion = task.estimate_motion(frames)
@@ -126,27 +123,32 @@ def assemble_task(task: Task) -> Assembly:
     lap("motion")
 
     gain, at_rest, spread_at_rest = options.known_gain, None, None
-    known = gain_is_known(motion.moved(len(clip.spikes)))
+    known = gain_is_known(motion.moved(len(clip.spikes)), settings.gain)
     if options.finds_gain and not known.all():
         at_rest = task.estimate_gain_at_rest() if rest_task is None else rest_task.result()
         gain = None if (at_rest == 1).all() else np.where(known, 1, at_rest)
         spread_at_rest = spread_of(at_rest, ~known)
 
-    λ = strength_of_noise(noise, task.scale, prior) if options.strength is None else float(options.strength)
+    λ = options.strength
+    if λ is None:
+        λ = strength_of_noise(noise, task.scale, prior, settings.strength)
     method = MajorizeMinimize(
         # The default solver of the problem is chosen below, when its strength is known.
         solver=options.solver or (FISTA() if prior.has_prox else LBFGS()),
         prior=prior,
-        strength=jnp.asarray(λ, jnp.float32),
+        strength=jnp.asarray(float(λ), jnp.float32),
         optics=options.lens,
         robust=options.robust,
         keep_images=options.keep_images,
         finished_tiles=shortcuts.finished_tiles,
+        settings=settings.outer_loop,
+        tile_settings=settings.tiles,
     )
     path, strength_task = task.trajectory(motion), None
     with ThreadPoolExecutor(2) as executor:
         # Where strengths are tried on parts of the picture, these are measured anew, beside the whole.
-        if options.selects_strength and not options.estimates_optics and in_parts(clip, task.scale, options.lens):
+        parts = in_parts(clip, task.scale, options.lens, settings.strength)
+        if options.selects_strength and not options.estimates_optics and parts:
             search = task.strength_search(prior, method.solver, gain=gain, optics=options.lens, noise=noise)
             strength_task = executor.submit(search.find, clip, motion, path, image)
         measured = task.measure(motion, gain, path)
@@ -179,8 +181,14 @@ def assemble_task(task: Task) -> Assembly:
     elif options.selects_strength:
         assembly = assembly.with_validated_strength()
     if options.solver is None:
-        apart = measured.placed.on_sensor and assembly.method.optics is None
-        solver = default_solver(prior, strength=assembly.strength, scale=task.scale, apart=apart)
+        block_diagonal = measured.placed.on_sensor and assembly.method.optics is None
+        solver = default_solver(
+            prior,
+            strength=assembly.strength,
+            scale=task.scale,
+            block_diagonal=block_diagonal,
+            steepest=settings.data_proximal_steepness,
+        )
         assembly = replace(assembly, method=replace(assembly.method, solver=solver))
     lap("strength")
     return assembly.with_sums()
@@ -189,20 +197,22 @@ def assemble_task(task: Task) -> Assembly:
 def _with_estimated_optics(assembly: Assembly) -> Assembly:
     """The assembly with the Gaussian lens that predicts held-out pixels best, by solves without corrections."""
     task, motion, method = assembly.task, assembly.motion, assembly.method
-    measurements = assembly.measurements
+    measurements, settings = assembly.measurements, task.options.settings.optics
     moved = float(motion.speed.max()) * len(task.clip.spikes)
-    if motion.speed.size < OPTICS_LEAST_PIXELS or moved < 1:
+    if motion.speed.size < settings.least_pixels or moved < settings.least_motion_px:
         raise InputError(
             f"optics is 'estimate', but this recording has {motion.speed.size} pixels and moves by {moved:.2g} of "
-            f"them; it takes {OPTICS_LEAST_PIXELS} pixels and a motion by 1 to tell a lens from a soft picture: give "
-            f"the Blur."
+            f"them; it takes {settings.least_pixels} pixels and a motion by {settings.least_motion_px:g} to tell a "
+            f"lens from a soft picture: give the Blur."
         )
 
     def solved(term: DataTerm) -> Float[Array, "H W"]:
         return jnp.asarray(run(method.solver, Problem(term, method.prior, method.strength), assembly.image).image)
 
     pixel = measurements.padded.row * motion.speed.shape[1] + measurements.padded.column
-    sigma = estimate_gaussian_optics(measurements.placed, jnp.asarray(pixel), solved).sigma
+    sigma = estimate_gaussian_optics(
+        measurements.placed, jnp.asarray(pixel), solved, tried=settings.sigmas_px, share=settings.held_out_share
+    ).sigma
     return replace(
         assembly,
         method=replace(method, optics=Blur.gaussian(task.shape, sigma * task.scale)),

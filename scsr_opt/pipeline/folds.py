@@ -1,11 +1,13 @@
 """Choice of the measurements that are held out, to be predicted by a picture made from the others (`StrengthSearch`).
 
-One sample in `SHARE` is. Where the scene moves by a sensor pixel, other pixels see what this one sees: all samples of
-one pixel in five. Where it does not, one stretch of time in five, of `STRETCH` frames and two intervals at least. Each
-gap in a pixel's time adds an error at both its ends, which asks for more of a prior than all samples do.
+One sample in five is. Where the scene moves by a sensor pixel, other pixels see what this one sees: all samples of one
+pixel in five. Where it does not, one stretch of time in five, of eight frames and two intervals at least. Each gap in a
+pixel's time adds an error at both its ends, which asks for more of a prior than all samples do. (The numbers are those
+of `StrengthSettings`.)
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import jax
@@ -14,36 +16,42 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from scsr_opt.camera.samples import Samples
+from scsr_opt.pipeline.settings import StrengthSettings
 
 Sums = TypeVar("Sums")
 
-MOVED = 1.0
-"""Sensor pixels that the scene has to move at a pixel for other pixels to see what this one sees."""
-SHARE, STRETCH = 5, 8
-"""One sample in so many is held out; frames, at least, of a stretch of time that is."""
 
+def held_out(
+    samples: Samples,
+    moved: Float[np.ndarray, "h w"],
+    *,
+    merged: bool = False,
+    settings: StrengthSettings = StrengthSettings(),
+) -> Bool[np.ndarray, " n"]:
+    """(n,), true for the samples that are held out.
 
-def held_out(samples: Samples, moved: Float[np.ndarray, "h w"], *, merged: bool = False) -> Bool[np.ndarray, " n"]:
-    """Which of the samples; `moved`, sensor pixels by which the scene moves at each pixel; `merged`: whether samples
-    are stretches of time already where nothing moves."""
+    **Arguments:** `moved`, (h, w), sensor pixels by which the scene moves at each pixel; `merged`: whether samples are
+    stretches of time already where nothing moves; `settings`: how many are held out.
+    """
+    every = settings.held_out_every
     pixel = np.asarray(samples.row) * np.int32(moved.shape[1]) + np.asarray(samples.column)
-    whole, phase = moved >= MOVED, _phase(moved.shape)
-    held = (whole & (phase % SHARE == 0)).reshape(-1)[pixel]
+    whole, phase = moved >= settings.held_out_motion_px, _phase(moved.shape)
+    held = (whole & (phase % every == 0)).reshape(-1)[pixel]
     if whole.all():
         return held
     duration = np.asarray(samples.stop - samples.start)
     typical = 0.0 if merged else float(np.average(duration, weights=samples.weight + np.float32(1e-9)))
-    length = np.float32(max(STRETCH, 2 * typical))
+    length = np.float32(max(settings.held_out_frames, 2 * typical))
     resting = np.flatnonzero(~whole.reshape(-1)[pixel])
     start, stop = (np.asarray(of)[resting] for of in (samples.start, samples.stop))
     stretch = np.floor((start + stop) / (2 * length)).astype(np.int32)
-    held[resting] = (stretch + phase.reshape(-1)[pixel[resting]]) % SHARE == 0
+    held[resting] = (stretch + phase.reshape(-1)[pixel[resting]]) % every == 0
     return held
 
 
 def _phase(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
-    """A number for each pixel: that of a pixel that is held out is 0 modulo `SHARE`, or of the stretch of time that is,
-    another from pixel to pixel, so that no time is missing.
+    """A number for each pixel, (h, w). Modulo `StrengthSettings.held_out_every` it is 0 where a pixel is held out; or
+    it is the number of the stretch of time that is, another from pixel to pixel, so that no time is missing.
 
     Pixels of one number are a knight's move apart, so that no two are neighbours but across the middle of a side of
     even length. Counted from the border inwards, by the farther and the nearer of the two distances: of a mirrored or
@@ -53,27 +61,29 @@ def _phase(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
     return 2 * np.maximum(rows[:, None], columns) + np.minimum(rows[:, None], columns)
 
 
-def light_at_rest(spikes: Shaped[np.ndarray, "T h w"], *, ends: float | int) -> Float[np.ndarray, "2 2 h w"]:
-    """Of a scene at rest, the sums that matter of the samples that are kept, [0], and of those that are held out, [1]:
-    the light that each pixel gathered, in thresholds, [0], and the frames that it took, [1].
+def light_at_rest(
+    spikes: Shaped[np.ndarray, "T h w"], *, ends: float | int, settings: StrengthSettings = StrengthSettings()
+) -> Float[np.ndarray, "2 2 h w"]:
+    """Sums over the samples of a scene at rest that are kept, [0], and that are held out, [1]: the light that each
+    pixel gathered, in thresholds, [0], and the frames that it took, [1].
 
-    Those are the samples of `spike_intervals`, split by `held_out`; `ends` as there. They never exist one by one, which
-    takes a third of the time.
+    The samples are those of `spike_intervals`, split by `held_out`; `ends` as there. They are never made one by one,
+    which takes a third of the time.
     """
     fired, phase = jnp.asarray(spikes).astype(bool), jnp.asarray(_phase(spikes.shape[1:]))
-    return np.asarray(_light_at_rest(fired, phase, jnp.asarray(ends, jnp.float32)))
+    return np.asarray(_light_at_rest(fired, phase, jnp.asarray(ends, jnp.float32), settings))
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="settings")
 def _light_at_rest(
-    fired: Bool[Array, "T h w"], phase: Int[Array, "h w"], ends: Float[Array, ""]
+    fired: Bool[Array, "T h w"], phase: Int[Array, "h w"], ends: Float[Array, ""], settings: StrengthSettings
 ) -> Float[Array, "2 2 h w"]:
     nothing = jnp.zeros(phase.shape, jnp.float32)
     # As a sample's duration is its weight, Σ duration² over Σ duration.
     squares, times = _visited(
         fired, ends, lambda sums, time, worth, *_: (sums[0] + worth * time**2, sums[1] + worth * time), (nothing,) * 2
     )
-    length = jnp.maximum(STRETCH, 2 * squares.sum() / jnp.maximum(times.sum(), 1e-9))
+    length = jnp.maximum(settings.held_out_frames, 2 * squares.sum() / jnp.maximum(times.sum(), 1e-9))
 
     def add(
         sums: Float[Array, "2 2 h w"],
@@ -82,7 +92,7 @@ def _light_at_rest(
         light: Float[Array, "h w"],
         middle: Float[Array, "h w"],
     ) -> Float[Array, "2 2 h w"]:
-        held = ((middle // length).astype(jnp.int32) + phase) % SHARE == 0
+        held = ((middle // length).astype(jnp.int32) + phase) % settings.held_out_every == 0
         found = worth[None] * jnp.stack([light, time])
         return sums + jnp.where(jnp.stack([~held, held])[:, None], found[None], 0)
 
@@ -90,8 +100,11 @@ def _light_at_rest(
 
 
 def _visited(fired: Bool[Array, "T h w"], ends: Float[Array, ""], add: Callable[..., Sums], sums: Sums) -> Sums:
-    """`sums` after `add(sums, time, worth, light, middle)` of each interval and end: frames that it lasts and what each
-    is worth, thresholds gathered, and its middle, as a frame; of all pixels at once, 0 worth where a pixel has none."""
+    """Fold `add` over all inter-spike intervals and ends, of all pixels at once.
+
+    `add(sums, time, worth, light, middle)` is given, (h, w) each: duration (frames), weight of a frame (0 where a pixel
+    has no such interval), light gathered (thresholds), and middle of the exposure (frame).
+    """
 
     def frame(carry: tuple[Array, Array, Sums], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Sums], None]:
         begin, seen, sums = carry

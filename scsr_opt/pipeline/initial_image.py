@@ -8,12 +8,12 @@ from jaxtyping import Array, Float
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.motion.estimators.frames import filled
 from scsr_opt.pipeline.clip import Clip
-
-PLAYBACK_FRAMES = 21
-"""Frames around the key frame whose firing rate is the initial image."""
+from scsr_opt.pipeline.settings import SamplingSettings
 
 
-def initial_image(clip: Clip, shape: tuple[int, int], *, sharp: bool = False) -> Float[Array, "H W"]:
+def initial_image(
+    clip: Clip, shape: tuple[int, int], *, sharp: bool = False, settings: SamplingSettings = SamplingSettings()
+) -> Float[Array, "H W"]:
     """The firing rate around the key frame, intensity, enlarged to `shape`.
 
     Enlarged linearly, as the networks were trained with, or by Lanczos' interpolation if `sharp`: what lies between
@@ -21,7 +21,7 @@ def initial_image(clip: Clip, shape: tuple[int, int], *, sharp: bool = False) ->
     """
     frames, bad = len(clip.spikes), clip.bad_pixels
     if frames > 1:
-        half = (PLAYBACK_FRAMES - 1) / 2
+        half = (settings.initial_image_frames - 1) / 2
         edges = np.clip(np.array([clip.key - half, clip.key + half]), 0, frames - 1)
         rate = interval_rates(clip.spikes, edges, white_rate=clip.white_rate)
     else:

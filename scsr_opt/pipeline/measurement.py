@@ -10,41 +10,21 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.calibration.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
-from scsr_opt.camera.samples import RUN, Samples, padded_length
+from scsr_opt.calibration.settings import GainSettings
+from scsr_opt.camera.samples import RUN_FRAMES, Samples, padded_length
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.motion.trajectory import SPACING, Changes, Motion, Trajectory, trajectory_of
 from scsr_opt.operators.losses import Loss, robust_factors
 from scsr_opt.operators.sampling import PlacedSamples, place
 from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.settings import SamplingSettings
 from scsr_opt.pipeline.visibility import cut_to_seen
 
-# How far a surface may move while intervals are merged, in high-resolution pixels: below the aperture's own blur.
-_MERGED_MOTION = 0.25
-# It is worth it where so large a share of the pixels is still for so many frames: samples that are not merged serve to
-# validate the strength, too.
-_MERGED_SHARE, _MERGED_LONG = 0.25, 16
-# How far the weight of what a pixel sees may change while intervals are merged as it rests.
-_MERGED_CHANGE = 0.25
-# And during a run of intervals of one frame that is merged, or an exposure with a single position: both have one weight
-# while something comes into view or is hidden, and a run that leaves the picture is lost as a whole.
-_STEADY = 0.125
-# Positions along an exposure, and the motion, sensor pixels, from which on it gets so many: what is read is the picture
-# through an aperture of one, and of that they miss no more than 0.0013 (docs/data-term.md, "Exposures"). λ hears it
-# where they miss 0.003: 0.09 dB on a still that pans.
-_POSITIONS, _REACHES = (5, 3, 2, 1), (0.7, 0.5, 0.1)
-# What moves at a round velocity moves by just as much as one of these within a round number of frames: so much is taken
-# off them, sensor pixels, that rounding, which is another of a mirrored recording, does not decide.
+# Numbers of positions that an exposure may have, most motion first (`SamplingSettings.positions_motion_px`).
+_POSITIONS = (5, 3, 2, 1)
+# What moves at a round velocity moves by just one of those distances within a round number of frames: as much is taken
+# off them, sensor pixels, so that rounding, which is another of a mirrored recording, does not decide.
 _TIE = 1e-3
-# How far what a pixel sees may move during a run of intervals of one frame that is merged: five positions then lie 3/8
-# of a sensor pixel apart.
-_FARTHEST = 1.875
-# Where two positions are asked for by no more than this share of the weight, and more by none, all are taken in the
-# middle of their exposure: a few long intervals of dark pixels would put all samples through rounds of corrections.
-# What they show is then blurred by up to half a sensor pixel of motion; at this share it is no object: a hundred of a
-# million pixels.
-_FEW_LONG = 1e-4
-# Standard deviation, sensor pixels, over which the light of pixels is averaged to tell their noise.
-_NEIGHBOURS = 1.5
 
 
 class Measurements(NamedTuple):
@@ -54,7 +34,7 @@ class Measurements(NamedTuple):
     - `samples`: (n,), as measured, weighted by their share of the recording; intervals that can be used in part only,
       cut to it (`scsr_opt.pipeline.visibility`).
     - `light`: (n,), their weights before anything was cut.
-    - `padded`: (m,), the same, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
+    - `padded`: (m,), `samples`, padded, each value over its pixel's gain. `placed`: (m,), where those were taken.
     - `still_for`: (h, w), frames over which what a pixel sees hardly moves; `merged_for`: those over which its
       intervals were merged, which may be fewer.
     - `path`: where in the key frame lies what the pixels see.
@@ -87,22 +67,30 @@ class Measurements(NamedTuple):
         blurred: Float[Array, "H W"],
         *,
         robust: Loss | None = None,
-        of: Bool[np.ndarray, "h w"] | None = None,
+        pixels: Bool[np.ndarray, "h w"] | None = None,
         at_rest: Float[np.ndarray, "h w"] | None = None,
+        settings: GainSettings = GainSettings(),
     ) -> Float[np.ndarray, "h w"]:
-        """The gains that the blurred picture U = B X of these samples speaks for (`blind_gain`), `of` some pixels only
-        if given. Where the scene does not move by a pixel, those `at_rest`, or 1. `robust`: the loss that the picture
-        was fitted by; what counted little for the picture says little of gains."""
+        """Gains of the pixels, (h, w), as a picture predicts what they should have measured (`blind_gain`).
+
+        **Arguments:**
+        - `blurred`: U = B X, the blurred picture of these samples.
+        - `robust`: the loss that the picture was fitted by: what counted little for the picture counts little here.
+        - `pixels`: (h, w), true for the pixels whose gains are wanted; all if None.
+        - `at_rest`: (h, w), gains where the scene does not move far enough to tell; 1 if None.
+        """
         samples, placed = self.samples, self.placed
-        if of is not None:
-            chosen = np.flatnonzero(of.reshape(-1)[samples.row * of.shape[1] + samples.column])
+        if pixels is not None:
+            chosen = np.flatnonzero(pixels[samples.row, samples.column])
             samples = jax.tree.map(lambda values: values[chosen], samples)
             placed = placed.only(jnp.asarray(np.pad(chosen, (0, padded_length(samples.row.size) - chosen.size))))
         used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
         moved = motion.moved(len(clip.spikes))
-        gains = blind_gain(samples, predicted, moved=moved, white_rate=clip.white_rate, weight=weight)
-        return gains if at_rest is None else np.where(gain_is_known(moved), gains, at_rest)
+        gains = blind_gain(
+            samples, predicted, moved=moved, white_rate=clip.white_rate, weight=weight, settings=settings
+        )
+        return gains if at_rest is None else np.where(gain_is_known(moved, settings), gains, at_rest)
 
 
 def measure(
@@ -112,23 +100,25 @@ def measure(
     scale: int,
     sampling: SamplingRule,
     gain: Float[np.ndarray, "h w"] | None = None,
-    merge: bool = True,
+    merged_intervals: bool = True,
     longest: int | None = None,
     on_sensor: bool = False,
+    settings: SamplingSettings = SamplingSettings(),
 ) -> Measurements:
     """The measurements of a recording, placed along a motion.
 
     **Arguments:**
     - `motion`: of the key frame, or already followed through the clip (`trajectory_of`).
     - `scale`: s, high-resolution pixels to a sensor pixel.
-    - `sampling`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than ¼
-      high-resolution pixel.
+    - `sampling`: how samples are made; what one pixel sees is taken as the same as long as it moves by less than
+      `settings.merged_motion_px`.
     - `gain`: of each pixel; 1 if not given.
-    - `merge`: whether intervals are merged where nothing moves, up to `longest` frames if given, and where a pixel is
-      saturated; by squares the picture is the same, but for long intervals that are cut
+    - `merged_intervals`: whether intervals are merged where nothing moves, up to `longest` frames if given, and where a
+      pixel is saturated (`Shortcuts`); by squares the picture is the same, but for long intervals that are cut
       (`scsr_opt.pipeline.visibility`), which merged ones are not. Windows are not merged.
     - `on_sensor`: whether samples of a scene in which nothing moves at all are placed on the sensor's grid alone
       (`PlacedSamples`).
+    - `settings`: how far what a pixel sees may move while its intervals are merged, and how many positions it gets.
     """
     frames, height, width = clip.spikes.shape
     followed = isinstance(motion, Trajectory)
@@ -138,27 +128,30 @@ def measure(
     fastest = speeds.most
     still_for = merged_for = np.ones((height, width), np.int32)
     run = 1
-    if merge:
+    if merged_intervals:
         with np.errstate(divide="ignore", over="ignore"):
-            still = _MERGED_MOTION / (scale * fastest)
-            steady = _MERGED_CHANGE / unsteady.most
+            still = settings.merged_motion_px / (scale * fastest)
+            steady = settings.merged_weight_change / unsteady.most
         still_for = np.clip(np.nan_to_num(np.minimum(still, steady)), 1, frames).astype(np.int32)
-    if merge and isinstance(sampling, Intervals):
+    if merged_intervals and isinstance(sampling, Intervals):
         most = frames if longest is None else min(longest, frames)
-        worthwhile = longest is not None or np.mean(still_for >= _MERGED_LONG) >= _MERGED_SHARE
+        still = np.mean(still_for >= settings.merged_least_frames)
+        worthwhile = longest is not None or still >= settings.merged_least_share
         merged_for = np.minimum(still_for, most) if worthwhile else merged_for
-        run = np.asarray(_runs(path))
+        run = np.asarray(_runs(path, settings.run_motion_px, settings.steady_weight_change))
     samples = sampling(
         clip.spikes, white_rate=clip.white_rate, still_for=merged_for, run=run, bad_pixels=clip.bad_pixels
     )  # fmt: skip
     light = samples.weight
     if isinstance(sampling, Intervals) and sampling.ends > 0:
-        samples = cut_to_seen(samples, path, frames=frames, white_rate=clip.white_rate, ends=sampling.ends)
+        samples = cut_to_seen(
+            samples, path, frames=frames, white_rate=clip.white_rate, ends=sampling.ends, settings=settings
+        )
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     if isinstance(sampling, Intervals) and sampling.noise is not None:
-        weight = sampling.noise.weights(samples, _mean_light(clip))
+        weight = sampling.noise.weights(samples, _mean_light(clip, settings.light_smoothing_px))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
-    order, positions = _longest_first(samples, speeds, unsteady, each=merge)
+    order, positions = _longest_first(samples, speeds, unsteady, settings, each=merged_intervals)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
@@ -174,39 +167,48 @@ def measure(
 
 
 @eqx.filter_jit
-def _runs(path: Trajectory) -> Int[Array, "blocks h w"]:
-    """Over how many frames intervals of one frame are merged, for every `RUN` frames (`spike_intervals`)."""
+def _runs(path: Trajectory, motion_px: float, weight_change: float) -> Int[Array, "blocks h w"]:
+    """Over how many frames intervals of one frame are merged, for every `RUN_FRAMES` frames (`spike_intervals`)."""
     if path.position.shape[0] == 1:
-        return jnp.full(path.visible.shape, RUN, jnp.int8)
-    assert RUN == SPACING  # each run lies between two moments
+        return jnp.full(path.visible.shape, RUN_FRAMES, jnp.int8)
+    assert RUN_FRAMES == SPACING  # each run lies between two moments
     moved, changed = (jnp.diff(of, axis=0) / SPACING for of in (path.position, path.usable))
     down, right = moved[:, 0], moved[:, 1]
-    run = jnp.minimum(_FARTHEST / jnp.sqrt(down**2 + right**2), _STEADY / jnp.abs(changed))
-    return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN).astype(jnp.int8)
+    run = jnp.minimum(motion_px / jnp.sqrt(down**2 + right**2), weight_change / jnp.abs(changed))
+    return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN_FRAMES).astype(jnp.int8)
 
 
-def _mean_light(clip: Clip) -> Float[np.ndarray, "h w"]:
+def _mean_light(clip: Clip, smoothing_px: float) -> Float[np.ndarray, "h w"]:
     """Mean intensity over the recording and over neighbouring pixels."""
     rate = clip.spikes.mean(0, dtype=np.float32) / np.float32(clip.white_rate)
     good = np.ones_like(rate) if clip.bad_pixels is None else (~clip.bad_pixels).astype(np.float32)
-    return gaussian_filter(rate, _NEIGHBOURS) / np.maximum(gaussian_filter(good, _NEIGHBOURS), 1e-3)
+    return gaussian_filter(rate, smoothing_px) / np.maximum(gaussian_filter(good, smoothing_px), 1e-3)
 
 
 def _longest_first(
-    samples: Samples, speeds: Changes, unsteady: Changes, *, each: bool
+    samples: Samples,
+    speeds: Changes,
+    unsteady: Changes,
+    settings: SamplingSettings = SamplingSettings(),
+    *,
+    each: bool,
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """The samples' numbers, and how many positions each gets along its exposure, those with most first: `each` as many
-    as it needs, or all as many as any of them does. A second one is needed where visibility changes, too."""
+    """Indices of the samples, those with most positions first, and the number of positions of each, (n,) both.
+
+    `each`: each sample gets the positions that its own motion needs; otherwise all get the most that any needs. A
+    second one is needed where visibility changes, too.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         speed = speeds.during(samples.row, samples.column, samples.start, samples.stop)
         moved = speed * (samples.stop - samples.start)
     level = np.zeros(moved.shape, np.int8)
-    for reach in _REACHES:
+    for reach in settings.positions_motion_px:
         level += moved >= reach - _TIE
     single = np.flatnonzero(level == 0)
     where = [of[single] for of in (samples.row, samples.column, samples.start, samples.stop)]
-    level[single] = unsteady.during(*where) * (where[3] - where[2]) >= _STEADY
-    if level.max(initial=0) == 1 and samples.weight[level == 1].sum() <= _FEW_LONG * samples.weight.sum():
+    level[single] = unsteady.during(*where) * (where[3] - where[2]) >= settings.steady_weight_change
+    few = settings.two_positions_least_share * samples.weight.sum()
+    if level.max(initial=0) == 1 and samples.weight[level == 1].sum() <= few:
         level = np.zeros_like(level)
     if not each:
         level = np.full_like(level, level.max(initial=0))

@@ -13,6 +13,8 @@ A picture that follows the noise asks for the motion that it was made with: refi
 at full strength.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,26 +29,17 @@ from scsr_opt.motion.estimators.parametric import generators
 from scsr_opt.motion.inversion import bilinear
 from scsr_opt.motion.trajectory import Layers, Motion
 from scsr_opt.operators.sampling import PlacedSamples, moments
-
-# Samples that a motion of few numbers is refined on, evenly taken from all: 10⁵ to a number would add nothing.
-_SAMPLES = 1 << 17
-# Steps of Levenberg–Marquardt, and the change (sensor pixels at the farthest moment) at which they end.
-_STEPS = 12
-_SMALL = 1e-3
-# A field is taken for one of few numbers if they give it to within this many sensor pixels at the farthest moment.
-_EXACT = 0.01
-# Residuals of more than so many standard deviations are no noise.
-_OUTLYING = 3.0
-# Window of the samples that vote on a pixel's velocity, sensor pixels; and how far, in sensor pixels at the farthest
-# moment, a velocity may be from what it was, in one step and as known beforehand.
-_WINDOW = 3.0
-_FAR = 0.5
-# Fixed-point steps that find the key-frame position of what a pixel sees, from where it was without motion.
-_INVERSION = 4
+from scsr_opt.pipeline.settings import RefinementSettings
 
 
 def refine(
-    motion: Motion, picture: Float[Array, "H W"], samples: Samples, placed: PlacedSamples, *, key: float | int
+    motion: Motion,
+    picture: Float[Array, "H W"],
+    samples: Samples,
+    placed: PlacedSamples,
+    *,
+    key: float | int,
+    settings: RefinementSettings = RefinementSettings(),
 ) -> Motion:
     """A motion nearer to the one that predicts `samples` best from `picture`.
 
@@ -55,6 +48,7 @@ def refine(
     - `picture`: U = B X, `DataTerm.blurred` of an image.
     - `samples`, `placed`: (n,) each, the samples padded as they were placed, with times in frames.
     - `key`: time of the key frame.
+    - `settings`: how far a velocity may go in a step, and when steps end.
 
     **Returns:** a motion of the same kind. A motion of few numbers (translation, affine, perspective; `parametric`)
     keeps which of them are 0, and is refined as far as it goes; of a motion of many numbers, or of layers, each
@@ -65,21 +59,22 @@ def refine(
     if placed.value.shape != samples.value.shape or picture.shape != placed.shape:
         raise InputError(
             f"refine was given {samples.value.size} samples, {placed.value.size} places on a picture of "
-            f"{placed.shape}, and a picture of {picture.shape}; hand in the padded samples, what "
+            f"{placed.shape}, and a picture of {picture.shape}; give the padded samples, what "
             "`place` made of them, and B X."
         )
     longest = float(np.max(np.abs(np.asarray(samples.stop if samples.count else 0) - key), initial=1.0))
     if not motion.moves:
         return motion
     if motion.layers is None:
-        numbers = _numbers(motion, longest)
+        numbers = _numbers(motion, longest, settings.exact_px)
         if numbers is not None:
-            return _of_few_numbers(motion, numbers, picture, samples, placed, key, longest)
-    pull, information = _votes(picture, samples, placed, jnp.float32(key), motion.velocity.shape[1:])
-    return _stepped(motion, pull, information, longest)
+            return _of_few_numbers(motion, numbers, picture, samples, placed, key, longest, settings)
+    shape = motion.velocity.shape[1:]
+    pull, information = _votes(picture, samples, placed, jnp.float32(key), shape, settings.outlier_deviations)
+    return _stepped(motion, pull, information, longest, settings)
 
 
-def _numbers(motion: Motion, longest: float) -> Float[np.ndarray, "2 8"] | None:
+def _numbers(motion: Motion, longest: float, exact_px: float) -> Float[np.ndarray, "2 8"] | None:
     """Velocity and acceleration as sums of generators, with 0 for those that take no part; None if they are not."""
     height, width = motion.velocity.shape[1:]
     fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)
@@ -87,7 +82,7 @@ def _numbers(motion: Motion, longest: float) -> Float[np.ndarray, "2 8"] | None:
     wanted = wanted.reshape(2, -1).T.astype(float)
     numbers, *_ = np.linalg.lstsq(basis, wanted, rcond=None)
     reach = np.array([longest, longest**2 / 2])
-    if (np.abs(basis @ numbers - wanted).max(0) * reach).max() > _EXACT:
+    if (np.abs(basis @ numbers - wanted).max(0) * reach).max() > exact_px:
         return None
     return np.where(np.abs(numbers.T) * reach[:, None] > 1e-4, numbers.T, 0).astype(np.float32)
 
@@ -100,17 +95,19 @@ def _of_few_numbers(
     placed: PlacedSamples,
     key: float | int,
     longest: float,
+    settings: RefinementSettings,
 ) -> Motion:
     # All numbers in sensor pixels at the farthest moment, so that one damping and one tolerance serve for all.
     units = np.repeat(np.array([[longest], [longest**2 / 2]], np.float32), 8, axis=1)
-    some = slice(None, None, max(1, -(-samples.value.size // _SAMPLES)))
+    some = slice(None, None, max(1, -(-samples.value.size // settings.samples)))
     fewer = jax.tree.map(lambda values: jnp.asarray(values[some]), samples)
     residual = placed.read(picture)[some] - placed.value[some]
-    weight = _robust(residual, placed.weight[some], fewer.weight)
+    weight = _robust(residual, placed.weight[some], fewer.weight, settings.outlier_deviations)
+    parameters = _Parameters(jnp.asarray(numbers), jnp.asarray(units), jnp.asarray(np.flatnonzero(numbers)))
+    begin = jnp.asarray((numbers * units)[numbers != 0])
     found = _least_squares(
-        jnp.asarray((numbers * units)[numbers != 0]), jnp.asarray(numbers), jnp.asarray(units),
-        jnp.asarray(np.flatnonzero(numbers)), picture, fewer, weight, jnp.float32(key), placed.finest, placed.scale,
-    )  # fmt: skip
+        begin, parameters, picture, fewer, weight, jnp.float32(key), placed.finest, placed.scale, settings
+    )
     if not np.isfinite(found).all():
         return motion
     height, width = motion.velocity.shape[1:]
@@ -120,32 +117,44 @@ def _of_few_numbers(
 
 
 def _robust(
-    residual: Float[Array, " n"], weight: Float[Array, " n"], duration: Float[Array, " n"]
+    residual: Float[Array, " n"], weight: Float[Array, " n"], duration: Float[Array, " n"], deviations: float
 ) -> Float[Array, " n"]:
     """Cauchy weights times `weight`; the variance of a residual falls with the sample's duration."""
     square = residual**2 * duration
     usual = jnp.sum(weight * square) / jnp.maximum(jnp.sum(weight), 1e-12)
-    return weight / (1 + square / (_OUTLYING**2 * usual + 1e-12))
+    return weight / (1 + square / (deviations**2 * usual + 1e-12))
+
+
+class _Parameters(NamedTuple):
+    """Velocity and acceleration as numbers of the eight generators, and which of them are refined.
+
+    **Fields:** `numbers`, (2, 8); `units`, (2, 8), what each is multiplied by to be sensor pixels at the farthest
+    moment; `active`, (p,), indices into the sixteen.
+    """
+
+    numbers: Float[Array, "2 8"]
+    units: Float[Array, "2 8"]
+    active: Int[Array, " p"]
 
 
 @eqx.filter_jit
 def _least_squares(
     begin: Float[Array, " p"],
-    numbers: Float[Array, "2 8"],
-    units: Float[Array, "2 8"],
-    active: Int[Array, " p"],
+    parameters: _Parameters,
     picture: Float[Array, "H W"],
     samples: Samples,
     weight: Float[Array, " n"],
     key: Float[Array, ""],
     positions: int,
     scale: int,
+    settings: RefinementSettings,
 ) -> Float[Array, "2 8"]:
+    """The numbers that predict the samples best, from `begin`, (p,), in sensor pixels at the farthest moment."""
     height, width = (n // scale for n in picture.shape)
     # Optimistix makes its own numbers in JAX's default precision, which may be double.
     dtype = jax.dtypes.canonicalize_dtype(float)
     begin, numbers, units, picture, weight, key = (
-        v.astype(dtype) for v in (begin, numbers, units, picture, weight, key)
+        v.astype(dtype) for v in (begin, parameters.numbers, parameters.units, picture, weight, key)
     )
     start, stop, value = (jnp.asarray(v, dtype) for v in (samples.start, samples.stop, samples.value))
     pixel = jnp.stack([samples.row, samples.column]).astype(value.dtype)
@@ -156,7 +165,7 @@ def _least_squares(
     root = jnp.sqrt(weight)
 
     def all_numbers(few: Float[Array, " p"]) -> Float[Array, "2 8"]:
-        return (numbers * units).reshape(-1).at[active].set(few).reshape(2, 8) / units
+        return (numbers * units).reshape(-1).at[parameters.active].set(few).reshape(2, 8) / units
 
     def displacement(point: Float[Array, "2 n"], numbers: Float[Array, "2 8"], τ: Float[Array, " n"]):
         ρ, γ = (point - middle) / max(height, width)
@@ -170,13 +179,13 @@ def _least_squares(
         for part in along:
             τ = start + (stop - start) * jnp.asarray(part, value.dtype) - key
             seen = pixel
-            for _step in range(_INVERSION):
+            for _step in range(settings.inversion_steps):
                 seen = pixel - displacement(seen, now, τ)
             total = total + bilinear(picture[None], *jnp.clip(seen * scale, 0, border))[0]
         return root * (total / positions - value)
 
-    solver = optx.LevenbergMarquardt(rtol=_SMALL, atol=_SMALL)
-    solution = optx.least_squares(residuals, solver, begin, max_steps=_STEPS, throw=False)
+    solver = optx.LevenbergMarquardt(rtol=settings.least_step_px, atol=settings.least_step_px)
+    solution = optx.least_squares(residuals, solver, begin, max_steps=settings.steps, throw=False)
     return all_numbers(solution.value)
 
 
@@ -187,6 +196,7 @@ def _votes(
     placed: PlacedSamples,
     key: Float[Array, ""],
     shape: tuple[int, int],
+    deviations: float,
 ) -> tuple[Float[Array, "2 h w"], Float[Array, "2 2 h w"]]:
     """−Jᵀ ω res and Jᵀ ω J in units of the noise, J = ∂(r_j·U)/∂v, added up at the key-frame pixel that each sample
     shows: what it asks of the velocity there."""
@@ -202,7 +212,7 @@ def _votes(
         # What a pixel sees lies at p − vτ: a higher velocity takes it back.
         slope = slope - placed.scale * placed.share(number, τ)[None] * across
     residual = placed.read(picture) - placed.value
-    weight = _robust(residual, placed.weight, jnp.asarray(samples.weight))
+    weight = _robust(residual, placed.weight, jnp.asarray(samples.weight), deviations)
     noise = jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight > 0, dtype=weight.dtype), 1)
     weight = weight / (noise + 1e-20)
     shown = jax.tree.map(lambda of: of[0], placed.taps)
@@ -219,29 +229,39 @@ def _votes(
 
 
 def _stepped(
-    motion: Motion, pull: Float[Array, "2 h w"], information: Float[Array, "2 2 h w"], longest: float
+    motion: Motion,
+    pull: Float[Array, "2 h w"],
+    information: Float[Array, "2 2 h w"],
+    longest: float,
+    settings: RefinementSettings,
 ) -> Motion:
     """One step of each velocity, least squares over a window; with layers, only over what belongs to the same one."""
+    window, most = settings.smoothing_px, settings.most_step_px
     if motion.layers is None:
-        velocity = motion.velocity + _update(pull, information, jnp.float32(longest))
+        velocity = motion.velocity + _update(pull, information, jnp.float32(longest), window, most)
         return eqx.tree_at(lambda m: m.velocity, motion, np.asarray(velocity, np.float32))
     velocity = motion.layers.velocity.copy()
     for number in range(len(velocity)):
         own = jnp.asarray(motion.layers.label == number, pull.dtype)
-        velocity[number] += np.asarray(_update(pull * own[None], information * own[None, None], jnp.float32(longest)))
+        own_pull, own_information = pull * own[None], information * own[None, None]
+        velocity[number] += np.asarray(_update(own_pull, own_information, jnp.float32(longest), window, most))
     layers: Layers = eqx.tree_at(lambda found: found.velocity, motion.layers, velocity)
     return Motion.of_layers(layers, motion.confidence)
 
 
-@jax.jit
+@eqx.filter_jit
 def _update(
-    pull: Float[Array, "2 h w"], information: Float[Array, "2 2 h w"], longest: Float[Array, ""]
+    pull: Float[Array, "2 h w"],
+    information: Float[Array, "2 2 h w"],
+    longest: Float[Array, ""],
+    smoothing_px: float,
+    most_step_px: float,
 ) -> Float[Array, "2 h w"]:
-    window = jnp.asarray(_WINDOW, pull.dtype)
+    window = jnp.asarray(smoothing_px, pull.dtype)
     pixels = 4 * jnp.pi * window**2  # effective number in a Gaussian window
     pull, information = pixels * smooth(pull, window), pixels * smooth(information, window)
-    known = (longest / _FAR) ** 2
+    known = (longest / most_step_px) ** 2
     a, b, d = information[0, 0] + known, information[0, 1], information[1, 1] + known
     update = jnp.stack([d * pull[0] - b * pull[1], a * pull[1] - b * pull[0]]) / (a * d - b * b)[None]
     length = jnp.sqrt(update[0] ** 2 + update[1] ** 2)
-    return update * jnp.minimum(1, _FAR / longest / jnp.maximum(length, 1e-12))[None]
+    return update * jnp.minimum(1, most_step_px / longest / jnp.maximum(length, 1e-12))[None]

@@ -1,4 +1,4 @@
-"""How a picture is to be solved for: `Options`, one value that is checked once, and `Shortcuts`, the work left out."""
+"""`Options`, all choices of a reconstruction as one value that is checked once, and `Shortcuts`, the work left out."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Solver
+from scsr_opt.solvers.solver import Solver
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,13 +35,13 @@ class Shortcuts:
     **Fields:**
     - `simple_motion`: a richer motion is not estimated where a simpler one contradicts nothing, and what moves apart
       from the background is searched for only around the pixels that contradict the background.
-    - `merged_intervals`: the intervals of a pixel are merged while what it sees hardly moves, and an exposure gets only
-      as many positions as what it sees moves.
+    - `merged_intervals`: the intervals of a pixel are merged while what it sees hardly moves, and an exposure gets
+      only the positions that its motion needs.
     - `sensor_grid`: where nothing moves, samples lie on the sensor's grid, and the blurred picture is not computed in
       between.
     - `reused_sums`: M and c that were summed to find the strength are used again by the solve.
     - `finished_tiles`: tiles of the picture whose residual is small are not iterated any further.
-    - `sampled_gains`: whether there is a fixed pattern is asked of some windows and some of the pixels first.
+    - `sampled_gains`: where some windows and some of the pixels show no fixed pattern, the others are not looked at.
     """
 
     simple_motion: bool = True
@@ -62,13 +62,13 @@ class Shortcuts:
 
     @property
     def any(self) -> bool:
-        """Whether any work may be left out."""
+        """True where any work may be left out."""
         return any(getattr(self, one.name) for one in fields(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Options:
-    """How a picture is to be solved for (Eq. 4); every field is also a keyword of `scsr_opt.reconstruct`.
+    """All choices of a reconstruction (Eq. 4); every field is also a keyword of `scsr_opt.reconstruct`.
 
     **Fields:**
     - `frames`: how many frames around the key frame are used (all, if the recording has fewer).
@@ -80,7 +80,8 @@ class Options:
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to find it from the recording: where the scene moves by a
       pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
       (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
-      chance (`FIXED_PATTERN`). Where gains are found or given, motion is estimated over them: a pattern rests.
+      chance (`GainSettings.pattern_spread`). Where gains are found or given, motion is estimated over them: a pattern
+      rests.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
@@ -95,7 +96,7 @@ class Options:
       `bad_pixels` and `gain` may be those of the whole sensor or of the part; `motion`, `optics` and `state` are those
       of the part.
     - `keep_images`: every stage keeps its pictures.
-    - `settings`: thresholds of every stage, which rarely need to be changed.
+    - `settings`: thresholds of every stage, which rarely need to be changed (docs/settings.md).
     """
 
     frames: SupportsIndex = USUAL_FRAMES
@@ -151,7 +152,7 @@ class Options:
         check_type(self.shortcuts, Shortcuts, "shortcuts", "Shortcuts.none()")
         check_type(self.settings, PipelineSettings, "settings", "PipelineSettings()")
         check_type(self.lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
-        prior = default_prior(scale) if self.prior is None else self.prior
+        prior = default_prior(scale, self.settings.learned_prior_scale) if self.prior is None else self.prior
         if self.solver is not None:
             self.solver.check(prior)
         motion, bad = self.motion, cut_out(self.bad_pixels, sensor, crop)
@@ -187,12 +188,12 @@ class Options:
 
     @property
     def estimates_optics(self) -> bool:
-        """Whether the lens is to be estimated."""
+        """True where the lens is to be estimated."""
         return isinstance(self.optics, str) and self.optics == "estimate"
 
     @property
     def finds_gain(self) -> bool:
-        """Whether gains of pixels are to be found from the recording."""
+        """True where gains of pixels are to be found from the recording."""
         return isinstance(self.gain, str) and self.gain in ("auto", "blind")
 
     @property
@@ -202,12 +203,12 @@ class Options:
 
     @property
     def selects_strength(self) -> bool:
-        """Whether λ is validated on held-out samples; with a robust loss outliers among them would decide."""
+        """True where λ is validated on held-out samples; with a robust loss outliers among them would decide."""
         return self.strength is None and self.robust is None
 
     @property
     def samples_apart(self) -> bool:
-        """Whether no samples are merged: with a robust loss, the mean of several would hide an outlier."""
+        """True where no samples are merged: with a robust loss, the mean of several would hide an outlier."""
         return self.robust is not None
 
 

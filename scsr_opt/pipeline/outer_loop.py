@@ -24,29 +24,16 @@ from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.losses import Loss, robust_factors
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
+from scsr_opt.pipeline.settings import OuterLoopSettings
 from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress
-from scsr_opt.solvers.loop import Outcome, Solver, run
+from scsr_opt.solvers.loop import Outcome, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Stage
+from scsr_opt.solvers.settings import TileSettings
+from scsr_opt.solvers.solver import Solver
 from scsr_opt.solvers.stopping import relative
-from scsr_opt.solvers.tiles import TILE, by_tile, is_tileable, run_tiles
-
-# Exposures are corrected again when the picture has moved from where the quadratic touches by more than this, in
-# tolerances of the solver. With one step size for each pixel pictures are as good as at 10 with one step size for all.
-CORRECTION_DISTANCE_TOLERANCES = 30.0
-# The same for each tile: a tile that is far off is lost in the mean over the picture.
-TILE_CORRECTION_DISTANCE_TOLERANCES = 40.0
-# Corrections are made for the tiles that are far off alone, if these lie in at most this share of the rows of tiles.
-FEW_ROWS_SHARE = 0.5
-# The quadratic is made to touch ahead of the picture, by this share of its change since the last correction: the next
-# iterations lead there. At 1 the solve took half as long again, or did not end.
-CORRECTION_EXTRAPOLATION = 0.7
-# Rounds of a robust loss after the first solve, at most.
-REWEIGHTING_ROUNDS = 10
-# Tolerance of all rounds but the last, and the change of the picture below which the next round is the last one, both
-# in tolerances of the solver.
-REWEIGHTING_LOOSENESS, REWEIGHTING_SETTLED = 5.0, 10.0
+from scsr_opt.solvers.tiles import by_tile, is_tileable, run_tiles
 
 
 class Majorized(NamedTuple):
@@ -62,7 +49,8 @@ class MajorizeMinimize:
 
     **Fields:** `solver`; `prior` Ψ; `strength` λ; `optics`, the lens in B; `robust` ρ, the square if None;
     `keep_images`, `progress` as of `run`; `finished_tiles`: whether tiles that are finished are not iterated further
-    (`run_tiles`), where that is possible and no picture of each iteration is wanted.
+    (`run_tiles`), where that is possible and no picture of each iteration is wanted; `settings`, `tile_settings`: when
+    exposures are corrected and samples reweighted, and when tiles are iterated.
     """
 
     solver: Solver
@@ -72,6 +60,8 @@ class MajorizeMinimize:
     robust: Loss | None
     keep_images: bool = False
     finished_tiles: bool = False
+    settings: OuterLoopSettings = OuterLoopSettings()
+    tile_settings: TileSettings = TileSettings()
     progress: Progress | None = None
 
     def __call__(
@@ -124,13 +114,17 @@ class MajorizeMinimize:
         """Solves with corrections for exposures; `robust`: factors on the weights, which `term` contains already."""
         tolerance = tolerances * self.solver.tolerance
         problem, exposures = Problem(term, self.prior, self.strength), None
-        by_tiles = not self.keep_images and is_tileable(self.solver, problem)
+        by_tiles = not self.keep_images and is_tileable(self.solver, problem, self.tile_settings)
         if placed.finest > 1:
-            exposures = ExposureCorrection(problem, placed, robust, tiles=by_tiles, skip=self.finished_tiles)
+            side = self.tile_settings.side_px if by_tiles else None
+            exposures = ExposureCorrection(
+                problem, placed, robust, tile_px=side, finished_tiles=self.finished_tiles, settings=self.settings
+            )
             problem = problem if near is None else exposures.touching(near)
         common: dict[str, Any] = {"similar": state, "correction": exposures, "progress": self.progress}
         if by_tiles:
-            return run_tiles(self.solver, problem, image, **common, tolerance=tolerance, skip=self.finished_tiles)
+            common |= {"finished_tiles": self.finished_tiles, "settings": self.tile_settings}
+            return run_tiles(self.solver, problem, image, **common, tolerance=tolerance)
         return run(self.solver, problem, image, **common, keep_images=self.keep_images, tolerance=tolerance)
 
     def _reweighted(
@@ -145,21 +139,19 @@ class MajorizeMinimize:
         """Solves round by round, each with weights from the picture of the round before."""
         stages: list[Stage] = []
         settled, factors = False, None
-        for remaining in reversed(range(REWEIGHTING_ROUNDS + (near is None))):
+        for remaining in reversed(range(self.settings.reweighting_rounds + (near is None))):
             last = settled or remaining == 0
             if near is not None:
                 factors = robust_factors(loss, placed, _blurred(term, near))
                 term = self.term(placed, factors)
-            outcome = self._solved(
-                term, placed, image, state, near, robust=factors, tolerances=1.0 if last else REWEIGHTING_LOOSENESS
-            )
+            tolerances = 1.0 if last else self.settings.reweighting_tolerances
+            outcome = self._solved(term, placed, image, state, near, robust=factors, tolerances=tolerances)
             stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
             if last or not outcome.status.usable:
                 break
             before, state, near = near, outcome.state, jnp.asarray(outcome.image)
-            settled = (
-                before is not None and float(_distance(near, before)) <= REWEIGHTING_SETTLED * self.solver.tolerance
-            )
+            limit = self.settings.reweighting_settled_tolerances * self.solver.tolerance
+            settled = before is not None and float(_distance(near, before)) <= limit
         return outcome._replace(stages=tuple(stages))
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
@@ -167,8 +159,8 @@ class MajorizeMinimize:
         kept = self.solver.kept
         if not isinstance(state, self.solver.state_type) or _layout(kept(state)) != _layout(kept(own)):
             raise InputError(
-                f"state is not one that {type(self.solver).__name__} with {type(self.prior).__name__} can go on from "
-                f"to a picture of {image.shape}; give Solution.state of a solution by the same solver and prior, of "
+                f"state does not fit: {type(self.solver).__name__} with {type(self.prior).__name__} cannot start a "
+                f"picture of {image.shape} from it; give Solution.state of a solution by the same solver and prior, of "
                 f"the same size."
             )
 
@@ -177,34 +169,41 @@ class ExposureCorrection:
     """Corrections of c and e for the motion during exposures, called with the picture during a solve: where it is far
     from where the quadratic of `problem` touches the true data term, a quadratic that touches there takes its place.
 
-    `tiles`: the distance is measured in each tile, too; `skip`: tiles that are near keep their correction.
+    `tile_px`: side, sensor pixels, of the tiles in which the distance is measured, too; None for the whole picture
+    alone. `finished_tiles`: whether tiles that are near keep their correction (`Shortcuts`).
     """
 
     def __init__(
-        self, problem: Problem, placed: PlacedSamples, robust: Float[Array, " n"] | None, *, tiles: bool, skip: bool
+        self,
+        problem: Problem,
+        placed: PlacedSamples,
+        robust: Float[Array, " n"] | None,
+        *,
+        tile_px: int | None,
+        finished_tiles: bool,
+        settings: OuterLoopSettings = OuterLoopSettings(),
     ):
-        self._problem, self._placed, self._robust, self._tiles, self._skip = problem, placed, robust, tiles, skip
+        self._problem, self._placed, self._robust = problem, placed, robust
+        self._tile, self._finished_tiles, self._settings = (tile_px or 0) * placed.scale, finished_tiles, settings
         self._corrected = problem
         self._touched: Float[Array, "H W"] | None = None
         self._last: Float[Array, "H W"] | None = None
 
     def __call__(self, image: Float[Array, "H W"], tolerance: float) -> Problem | None:
-        far = None
-        if (
-            self._touched is not None
-            and float(_distance(image, self._touched)) <= CORRECTION_DISTANCE_TOLERANCES * tolerance
-        ):
-            if not self._tiles:
+        far, limit = None, self._settings.correction_tolerances * tolerance
+        if self._touched is not None and float(_distance(image, self._touched)) <= limit:
+            if not self._tile:
                 return None
-            distance = np.asarray(_distance_in_tiles(image, self._touched, TILE * self._placed.scale))
-            if distance.max() <= TILE_CORRECTION_DISTANCE_TOLERANCES * tolerance:
+            distance = np.asarray(_distance_in_tiles(image, self._touched, self._tile))
+            if distance.max() <= self._settings.tile_correction_tolerances * tolerance:
                 return None
             # Tiles half as far off would be next.
-            far = distance > TILE_CORRECTION_DISTANCE_TOLERANCES / 2 * tolerance
-        ahead = image if self._last is None else image + CORRECTION_EXTRAPOLATION * (image - self._last)
+            far = distance > self._settings.tile_correction_tolerances / 2 * tolerance
+        extrapolation = self._settings.correction_extrapolation
+        ahead = image if self._last is None else image + extrapolation * (image - self._last)
         self._last = image
         # Pieces of samples are chosen by rows: where most rows have a tile that is far off, hardly any is left out.
-        if far is None or not self._skip or far.any(1).mean() > FEW_ROWS_SHARE:
+        if far is None or not self._finished_tiles or far.any(1).mean() > self._settings.few_rows_share:
             return self.touching(ahead)
         return self._touching_in(far, ahead)
 
@@ -217,7 +216,7 @@ class ExposureCorrection:
     def _touching_in(self, tiles: Bool[np.ndarray, "rows columns"], image: Float[Array, "H W"]) -> Problem:
         """The problem with the quadratic that touches at `image` in these tiles, and elsewhere where it did before."""
         assert self._touched is not None
-        side = TILE * self._placed.scale
+        side = self._tile
         image = _only_in(tiles, image, self._touched, side)
         # Rows that samples of these tiles are read from: the blur reaches s − 1 rows on, a position reads two rows.
         first, last = self._rows

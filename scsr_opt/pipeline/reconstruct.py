@@ -4,8 +4,8 @@
             `──────────────── assemble_task ────────────────'        ▲   │
                                                              updates └───┘
 
-`reconstruct` goes all the way; `assemble` stops before the first iteration and gives the problem to whoever has a
-solver or a prior of their own. `reconstruct_sequence` (`scsr_opt.pipeline.sequence`) does it for many key frames.
+`reconstruct` goes all the way; `assemble` stops before the first iteration and returns the problem, for a
+solver or a prior of one's own. `reconstruct_sequence` (`scsr_opt.pipeline.sequence`) does it for many key frames.
 """
 
 import time
@@ -53,7 +53,7 @@ def reconstruct(
       `options`, or of the defaults.
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
       solver and prior at the same size: where to start.
-    - `progress`: is told of the iterations.
+    - `progress`: receives the number of iterations done.
     - `throw`: raise `SolveError` where the solve fails. By default the failure is in `Solution.status`.
 
     Arrays that are given are copied or read before it returns, and never written to; those of the `Solution` are the

@@ -1,7 +1,7 @@
 """Summary of a scene for people: what each part of it needed, found from motion and samples.
 
-It decides nothing; `Shortcuts` says what work may be left out, and the stages say where. Each tile of the sensor gets
-one `TileKind` by these tests of its spikes:
+It decides nothing: `Shortcuts` lists what work may be left out, and docs/architecture.md where. Each tile of the sensor
+gets one `TileKind` by these tests of its spikes:
 
 - *Moving or at rest*: by how long what a pixel sees hardly moves (`measure`), which follows from the motion.
 - *Dark, saturated, uniform*: by the numbers of spikes in the tile, each with a false-alarm rate of 0.1 %.
@@ -9,27 +9,16 @@ one `TileKind` by these tests of its spikes:
 """
 
 import enum
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.stats import chi2, norm
 
-from scsr_opt.camera.saturation import SATURATED, spike_counts
+from scsr_opt.camera.saturation import SATURATED_SHARE, spike_counts
 from scsr_opt.motion.trajectory import Motion
-
-# Side of a tile, sensor pixels.
-TILE = 16
-DARK = 4.0
-"""With fewer spikes than these a pixel tells next to nothing alone; the prior and its neighbours have to."""
-# Share of a tile's pixels that must be still over the whole recording for the tile to be at rest.
-_STILL = 0.5
-# Share of a tile's light that must be usable: less, and most of what it sees is out of view in the key frame.
-_USED = 0.5
-# The chance that a tile without texture is taken for one with texture, one with enough spikes for dark, or one that has
-# frames without a spike for saturated.
-_FALSE_ALARM = 1e-3
+from scsr_opt.pipeline.settings import SceneSummarySettings
 
 
 class TileKind(enum.IntEnum):
@@ -51,9 +40,10 @@ _REASONS = {
     TileKind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
     TileKind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while "
     "it hardly moves, or in runs where it fires in every frame",
-    TileKind.DARK: f"fewer than {DARK:g} spikes a pixel: what there is is used in full, and smoothed",
+    TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: all of them are used, and smoothed",
     TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
-    TileKind.SATURATED: f"fires in {100 * SATURATED:g} % of the frames or more: runs of spikes are one measurement",
+    TileKind.SATURATED: f"fires in {100 * SATURATED_SHARE:g} % of the frames or more: runs of spikes are one "
+    "measurement",
 }
 
 
@@ -67,6 +57,7 @@ class SceneSummary:
     - `used`: (rows, columns), the share of the light whose place in the key frame is known and in view.
     - `scene`: the motion of the whole: "at rest", "one motion", "layers" or "a motion for each pixel".
     - `intervals`: measurements that there would be if nothing were left out; `samples`: those that are used.
+    - `settings`: limits of the kinds.
     """
 
     kind: Int[np.ndarray, "rows columns"]
@@ -75,7 +66,12 @@ class SceneSummary:
     scene: str
     intervals: int
     samples: int
-    tile: int = TILE
+    settings: SceneSummarySettings = field(default_factory=SceneSummarySettings)
+
+    @property
+    def tile(self) -> int:
+        """Side of a tile, sensor pixels."""
+        return self.settings.tile_px
 
     def unmerged(self) -> "SceneSummary":
         """The summary where no samples could be merged: all of them are used."""
@@ -86,9 +82,10 @@ class SceneSummary:
         return float(np.mean(self.kind == kind))
 
     def reason(self, kind: TileKind) -> str:
-        """How tiles of a kind are handled, in words."""
+        """A sentence on how tiles of a kind are handled."""
         merged = bool((self.merged_for[self.kind == kind] > 1).any())
-        return _APART if kind is TileKind.STATIC and not merged else _REASONS[kind]
+        reason = _APART if kind is TileKind.STATIC and not merged else _REASONS[kind]
+        return reason.format(dark_spikes=self.settings.dark_spikes)
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -108,17 +105,25 @@ class SceneSummary:
         return text
 
 
+class SampleWeights(NamedTuple):
+    """Weights of n samples: `pixel`, (n,), the flattened sensor pixel; `measured`, (n,), the weight before the motion
+    is looked at; `placed`, (n,), that of what is in view in the key frame."""
+
+    pixel: Int[np.ndarray, " n"]
+    measured: Float[np.ndarray, " n"]
+    placed: Float[np.ndarray, " n"]
+
+
 def summarise_scene(
     spikes: Shaped[np.ndarray, "T h w"],
     motion: Motion,
     still_for: Int[np.ndarray, "h w"],
     merged_for: Int[np.ndarray, "h w"],
     *,
-    pixel: Int[np.ndarray, " n"],
-    light: Float[np.ndarray, " n"],
-    used: Float[np.ndarray, " n"],
+    weights: SampleWeights,
     noise: float,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
+    settings: SceneSummarySettings = SceneSummarySettings(),
 ) -> SceneSummary:
     """Summary of a clip, its motion and its samples.
 
@@ -129,11 +134,13 @@ def summarise_scene(
     **Arguments:**
     - `still_for`, `merged_for`: frames over which what each pixel sees hardly moves, and those over which its
       intervals were merged.
-    - `pixel`, `light`, `used`: of each sample, the flattened sensor pixel, its weight as measured, and as placed.
+    - `weights`: of the samples.
     - `noise`: standard deviation of a pixel's mean number of spikes per frame.
-    - `bad_pixels`: true where the spikes say nothing; a tile of no others is dark.
+    - `bad_pixels`: (h, w), true where spikes are not used; a tile of no other pixels is dark.
+    - `settings`: limits of the kinds.
     """
     frames, height, width = spikes.shape
+    tile, false_alarms = settings.tile_px, settings.false_alarms
     good = np.ones((height, width), bool) if bad_pixels is None else ~bad_pixels
     count = spike_counts(spikes) * good
     fired = count.astype(np.float32) / np.float32(frames)
@@ -141,36 +148,37 @@ def summarise_scene(
     still = still_for >= frames
     farthest = motion.speed + np.hypot(*motion.acceleration) * np.float32(frames / 2)
     as_little = np.asarray(farthest <= farthest[still].max(initial=0), np.float32)
-    pixels = np.maximum(_tiles(good.astype(np.float32), np.add), 1)
-    mean = _tiles(fired, np.add) / pixels
-    scatter = _tiles(fired**2, np.add) - pixels * mean**2
+    pixels = np.maximum(_tiles(good.astype(np.float32), np.add, tile), 1)
+    mean = _tiles(fired, np.add, tile) / pixels
+    scatter = _tiles(fired**2, np.add, tile) - pixels * mean**2
     # However regular spikes are, the phase of a pixel's first one is chance: the whole number of them between x and
     # x + 1 then has a variance of up to ¼.
     variance = max(noise**2, 1 / 4 / frames**2)
-    flat = scatter <= variance * chi2.ppf(1 - _FALSE_ALARM, np.maximum(pixels - 1, 1))
-    doubt = norm.isf(_FALSE_ALARM) * np.sqrt(variance / pixels)
+    flat = scatter <= variance * chi2.ppf(1 - false_alarms, np.maximum(pixels - 1, 1))
+    doubt = norm.isf(false_alarms) * np.sqrt(variance / pixels)
 
     def of_tiles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows columns"]:
-        summed = np.bincount(pixel, values, minlength=height * width).reshape(height, width)
-        return _tiles(summed.astype(np.float32), np.add)
+        summed = np.bincount(weights.pixel, values, minlength=height * width).reshape(height, width)
+        return _tiles(summed.astype(np.float32), np.add, tile)
 
-    share = of_tiles(used) / np.maximum(of_tiles(light), 1e-9)
+    share = of_tiles(weights.placed) / np.maximum(of_tiles(weights.measured), 1e-9)
     kind = np.full(mean.shape, int(TileKind.MOVING))
-    rests = _tiles((still & good).astype(np.float32), np.add) >= _STILL * pixels
-    rests &= _tiles(as_little, np.minimum) > 0
+    rests = _tiles((still & good).astype(np.float32), np.add, tile) >= settings.still_share * pixels
+    rests &= _tiles(as_little, np.minimum, tile) > 0
     kind[rests] = TileKind.STATIC
     kind[rests & flat] = TileKind.UNIFORM
-    kind[share < _USED] = TileKind.FAST
-    kind[(mean + doubt) * frames < DARK] = TileKind.DARK
+    kind[share < settings.used_share] = TileKind.FAST
+    kind[(mean + doubt) * frames < settings.dark_spikes] = TileKind.DARK
     # One spike is of the charge that was there before the first frame.
-    kind[mean - doubt - 1 / frames >= SATURATED] = TileKind.SATURATED
+    kind[mean - doubt - 1 / frames >= SATURATED_SHARE] = TileKind.SATURATED
     return SceneSummary(
         kind=kind,
-        merged_for=_tiles(merged_for.astype(np.float32), np.minimum).astype(np.int32),
+        merged_for=_tiles(merged_for.astype(np.float32), np.minimum, tile).astype(np.int32),
         used=share.astype(np.float32),
         scene=_scene(motion),
         intervals=int(count.sum()) + int(np.count_nonzero(good)),
-        samples=int(np.count_nonzero(used)),
+        samples=int(np.count_nonzero(weights.placed)),
+        settings=settings,
     )
 
 
@@ -184,7 +192,7 @@ def _scene(motion: Motion) -> str:
     return "one motion" if third <= 1e-4 * float(np.abs(motion.velocity).max()) else "a motion for each pixel"
 
 
-def _tiles(values: Float[np.ndarray, "h w"], reduced: np.ufunc) -> Float[np.ndarray, "rows columns"]:
+def _tiles(values: Float[np.ndarray, "h w"], reduced: np.ufunc, tile: int) -> Float[np.ndarray, "rows columns"]:
     """One number for each tile, from its pixels."""
-    rows, columns = (np.arange(0, length, TILE) for length in values.shape)
+    rows, columns = (np.arange(0, length, tile) for length in values.shape)
     return reduced.reduceat(reduced.reduceat(values, columns, axis=1), rows, axis=0)

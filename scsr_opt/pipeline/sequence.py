@@ -1,7 +1,7 @@
 """Pictures of several key frames of one recording, each starting from what is known of the one before.
 
-From one key frame to the next little changes: what moves goes on moving, what rests has been solved for. So the motion
-of the last picture is carried on along its own trajectories; only which of its layers is seen where is looked at anew.
+From one key frame to the next little changes: motions last, and what rests has been solved for. So the motion of the
+last picture is carried on along its own trajectories; only which of its layers is seen where is decided anew.
 It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
 then, and the gains are found, and both are carried on with it. The picture and the prior's dual variables are moved
 along, and the solve starts from there, or from playback where hardly anything was seen.
@@ -34,24 +34,11 @@ from scsr_opt.operators.sampling import PlacedSamples
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.reconstruct import solve
+from scsr_opt.pipeline.settings import SequenceSettings
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.progress import Progress, check_progress
 
-# Frames over which a motion is carried on at most: as long as some of the frames it was estimated from are used. On a
-# recording of a car passing, moving pixels that were held out were predicted as well as by a motion estimated anew
-# after 5, 20, 40, 60, 80 and 100 frames.
-OLDEST_MOTION_FRAMES = 100
-# A motion is estimated anew where more pixels contradict it than did when it was estimated, times this factor, and this
-# share of all. On that recording 6, 8, 16, 19, 21, 23 and 25 % did after 0, 5, 20, 40, 60, 75 and 95 frames; a turning
-# disc lost 0.3 dB up to a factor of 1.6, and 0.5 at 4.5.
-CONTRADICTED_FACTOR, CONTRADICTED_SHARE = 4.2, 0.005
-# Tolerance of a solve that starts from the picture before, in the solver's own: from there a residual is met nearer to
-# the minimum. 2 instead of 1.5 added up to 0.002 % to the objective of pictures of a car, 3 up to 0.006 %.
-WARM_TOLERANCE_FACTOR = 2.0
-# Where less than this share of the mean weight saw the scene, a picture starts from playback: what has come into view
-# was not in the picture before, whose border would be there instead, and go slowly, as only the prior decides.
-SEEN_SHARE = 0.1
 # Marks the end of the items of a generator.
 _END: Any = object()
 Item = TypeVar("Item")
@@ -133,6 +120,7 @@ class _Moment(NamedTuple):
 
     @property
     def key(self) -> int:
+        """The key frame, counted from the recording's first frame."""
         return self.task.clip.key_frame
 
 
@@ -143,6 +131,8 @@ def _pictures(
     options: Options,
     progress: Progress | None,
 ) -> Generator[Solution, None, None]:
+    settings = options.settings.sequence
+
     def moments(
         wanted: Iterable[SupportsIndex], followed: _Followed | None
     ) -> Generator[tuple[_Moment, Assembly | None], None, None]:
@@ -150,7 +140,7 @@ def _pictures(
         for key in wanted:
             task = task_of(recording, scale, key, options)
             frames = task.motion_frames(task.options.known_gain)
-            motion = None if followed is None else _carried(followed, frames, task.clip.key_frame)
+            motion = None if followed is None else _carried(followed, frames, task.clip.key_frame, settings)
             assembly = None
             if followed is None or motion is None:
                 assembly = assemble_task(task)
@@ -171,7 +161,7 @@ def _pictures(
                         changes["strength"] = now.followed.strength
                     assembly = assemble_task(task_of(recording, scale, now.key, Options.of(options, changes)))
                     solver = assembly.method.solver
-                    solver = replace(solver, tolerance=WARM_TOLERANCE_FACTOR * solver.tolerance)
+                    solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
                     assembly = replace(assembly, method=replace(assembly.method, solver=solver))
                 yield now, assembly
 
@@ -217,28 +207,30 @@ def _start(now: _Moment, assembly: Assembly, before: tuple[int, Solution] | None
     if moved is kept:
         return kept
     there = assembly.method.solver.image(moved)
-    begun = _where_seen(assembly.measurements.placed, there, assembly.image)
+    seen_share = assembly.task.options.settings.sequence.seen_share
+    begun = _where_seen(assembly.measurements.placed, there, assembly.image, seen_share)
     return jax.tree.map(lambda leaf: begun if leaf is there else leaf, moved)
 
 
 @eqx.filter_jit
 def _where_seen(
-    placed: PlacedSamples, picture: Float[Array, "H W"], elsewhere: Float[Array, "H W"]
+    placed: PlacedSamples, picture: Float[Array, "H W"], elsewhere: Float[Array, "H W"], seen_share: float
 ) -> Float[Array, "H W"]:
     """`picture`, and where hardly any of the samples are, the picture `elsewhere`."""
     seen, s = placed.seen(), placed.scale
-    hardly = seen < SEEN_SHARE * jnp.mean(seen)
+    hardly = seen < seen_share * jnp.mean(seen)
     return jnp.where(jnp.repeat(jnp.repeat(hardly, s, axis=1), s, axis=0), elsewhere, picture)
 
 
-def _carried(followed: _Followed, frames: MotionFrames | None, key: int) -> Motion | None:
+def _carried(followed: _Followed, frames: MotionFrames | None, key: int, settings: SequenceSettings) -> Motion | None:
     """The motion at frame `key`, with its trust; None if the recording contradicts it."""
-    if abs(key - followed.since) > OLDEST_MOTION_FRAMES:
+    if abs(key - followed.since) > settings.carried_frames:
         return None
     motion = carry(followed.motion, key - followed.since)
     if frames is not None:
         motion = relabelled(frames, motion)
-    if _contradicted(frames, motion) > CONTRADICTED_FACTOR * followed.contradicted + CONTRADICTED_SHARE:
+    most = settings.contradicted_factor * followed.contradicted + settings.contradicted_share
+    if _contradicted(frames, motion) > most:
         return None
     return motion if frames is None else trusted(frames, motion)
 

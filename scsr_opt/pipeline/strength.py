@@ -1,15 +1,15 @@
-"""How much weight the prior gets: the strength λ of Eq. 4, from the recording itself.
+"""The strength λ of the prior in Eq. 4, from the recording itself.
 
-Two things are known. The noise between neighbouring intervals of a pixel says how far the gradient of f is moved by
-chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor of 2 of 1.
-In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and smooth
-scenes want several times as much. So λ is validated (`StrengthSearch`): part of the samples is held out, and the
+Two things are known. The noise between neighbouring intervals of a pixel is a measure of how far the gradient of f is
+moved by chance (`strength_of_noise`); on that scale the best strength of stills and clips by day lies within a factor
+of 2 of 1. In dim light it does not: the noise of photons stays where that of counting in whole frames averages out, and
+smooth scenes want several times as much. So λ is validated (`StrengthSearch`): part of the samples is held out, and the
 picture made from the others has to predict them.
 """
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,66 +31,43 @@ from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
 from scsr_opt.pipeline.clip import Clip
-from scsr_opt.pipeline.folds import MOVED, STRETCH, held_out, light_at_rest
+from scsr_opt.pipeline.folds import held_out, light_at_rest
 from scsr_opt.pipeline.measurement import Measurements, measure
+from scsr_opt.pipeline.settings import SamplingSettings, StrengthSettings
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
-from scsr_opt.solvers.loop import Solver, run
+from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.quasi_newton import Smooth
-
-# λ = _SMOOTHING · √(noise / frames) · 2 / scale · relative_strength. The square root is how far noise moves the
-# gradient of f at a pixel, which total variation has to hold down; the constant and the scale's part were found on
-# stills with known answers, several kinds of motion, two lights and two scales (docs/measurements.md).
-_SMOOTHING = 0.06
-
-# Side of the parts of the picture that λ is validated on, in high-resolution pixels, and how many there are at most.
-_SIDE, _PARTS = 256, 3
-# Held-out samples tell what a sensor pixel sees, which needs less of a prior than what lies between: the strength
-# that gives the best picture was so many times the one that predicts best, by time and by pixels. Nor is much less than
-# by noise alone believed, where it lost more often than not.
-_BEYOND, _AT_LEAST = (1.4, 1.7), (0.7, 0.4)
-# What other measurements than intervals ask for is not known beforehand: windows want 4 to 64 times as much
-# (docs/data-term.md).
-_LOWEST, _HIGHEST, _HIGHEST_OF_OTHERS = 0.25, 16.0, 256.0
-# Strengths of a learned prior are tried with Huber-TV in its place, which takes a fraction of the time. Where that
-# predicts best with k times the strength by noise, the learned prior does with a·k^b (both measured): it knows pictures
-# better, and noise moves it less.
-_STAND_IN = (0.65, 0.6)
-# Pixels, about, whose intervals tell the noise: their mean square is known to half a percent.
-_SAMPLED = 5_000
-# Samples that have to be kept, and to be held out, for it to tell anything.
-_FEWEST = 100
-# A validation need not be solved to the end.
-_ITERATIONS, _TOLERANCE = 60, 5e-4
+from scsr_opt.solvers.solver import Solver
 
 
-def strength_of_noise(noise: float, scale: int, prior: Prior) -> float:
+def strength_of_noise(noise: float, scale: int, prior: Prior, settings: StrengthSettings = StrengthSettings()) -> float:
     """λ from how much neighbouring intervals differ (`noise_of_mean`). **Raises:** as `relative_strength`."""
-    return _SMOOTHING * noise * 2 / scale * relative_strength(prior)
+    return settings.noise_factor * noise * 2 / scale * relative_strength(prior)
 
 
 def relative_strength(prior: Prior) -> float:
-    """That of the prior. **Raises:** `InputError` where there is none."""
+    """`Prior.relative_strength`. **Raises:** `InputError` where the prior has none."""
     found = prior.relative_strength
     if found is None:
         raise InputError(
-            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; hand one in: "
+            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; give one: "
             "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-3."
         )
     return found
 
 
-def noise_of_mean(clip: Clip) -> float:
+def noise_of_mean(clip: Clip, settings: StrengthSettings = StrengthSettings()) -> float:
     """Standard deviation of a pixel's mean over the recording, intensity, as neighbouring intervals differ by it; from
     a sample of the pixels (`sparse_pixels`), every second row and column or fewer.
 
     Where most pixels fire less than twice, there are hardly any intervals to tell. A mean is then known to a spike of
     chance phase: the variance of a count ⌊x + u⌋, u uniform, is 1/6 in the mean over x.
     """
-    apart = max(2, round((clip.spikes[0].size / _SAMPLED) ** 0.5))
+    apart = max(2, round((clip.spikes[0].size / settings.noise_pixels) ** 0.5))
     few = sparse_pixels(clip.spikes, apart)
     bad = None if clip.bad_pixels is None else sparse_pixels(clip.bad_pixels, apart)
     samples = spike_intervals(few, white_rate=clip.white_rate, bad_pixels=bad, ends=0)
@@ -114,10 +91,11 @@ class ValidatedStrength(NamedTuple):
     """A strength λ, and what finding it left behind where the whole picture was one part.
 
     **Fields:**
-    - `image`: of the pictures that were made that of the strength nearest to it (before a prior that stood in is
-      accounted for), (H, W), intensity: a start much nearer to the solution than playback. None if it is not finite.
-    - `term`: M, c and e of all samples, those that were held out added to the others, if work is to be skipped; None
-      where strengths were tried on other samples than those of the picture.
+    - `strength`: λ.
+    - `image`: (H, W), intensity, the picture of the tried strength nearest to it (before a prior that stood in is
+      accounted for): a start much nearer to the solution than playback. None if it is not finite.
+    - `term`: M, c and e of all samples, those that were held out added to the others; None where these sums are not
+      used again, or strengths were tried on other samples than those of the picture.
     """
 
     strength: float
@@ -125,64 +103,58 @@ class ValidatedStrength(NamedTuple):
     term: DataTerm | None = None
 
 
-class _Part:
-    """A part of the picture on which strengths are tried: a picture is made from some of its samples and has to predict
-    the others.
+class _Split(NamedTuple):
+    """Samples of a part of the picture, split in two.
+
+    **Fields:** `kept`, those that a picture is made from; `held`, those that it has to predict; `image`, X^(0) of the
+    part; `reused`: whether M and c of both are wanted by the solve that follows.
+    """
+
+    kept: PlacedSamples
+    held: PlacedSamples
+    image: Float[Array, "H W"]
+    reused: bool = False
+
+
+class _Fold:
+    """A part of the picture on which strengths are tried: pictures of the kept samples have to predict the others.
 
     **Attributes:** `image`, the last picture, (H, W).
     """
 
-    def __init__(
-        self,
-        kept: PlacedSamples,
-        held: PlacedSamples,
-        first: Float[Array, "H W"],
-        optics: LinearOperator | None,
-        *,
-        both: bool = False,
-    ):
-        """`kept`: the samples that a picture is made from; `held`: those to predict; `first`: X^(0); `both`: whether
-        `term` will be asked for, whose sums are found beside the others."""
-        self.image, self._first = first, first
-        self._kept, self._held = kept, held
-        self._sums = in_threads(partial(accumulate, optics=optics), [kept, held] if both else [kept])
-        self._plain = self._term = self._sums[0]
+    def __init__(self, split: _Split, optics: LinearOperator | None, solver: Solver, prior: Prior, strength: float):
+        """The motion during exposures, if they are long, is corrected for by pictures of this strength."""
+        self.image, self._split, self._solver, self._prior = split.image, split, solver, prior
+        summed = [split.kept, split.held] if split.reused else [split.kept]
+        self._sums = in_threads(partial(accumulate, optics=optics), summed)
+        plain = Problem(self._sums[0], prior, jnp.asarray(strength, jnp.float32))
+        self._plain = self._term = solver.prepared(plain).data
         self._states: dict[float, Any] = {}
+        for _ in range(2 if split.kept.finest > 1 else 0):
+            self._solve(strength)
+            self._term = with_exposure(self._plain, split.kept, self.image)
 
-    def solve(self, solver: Solver, prior: Prior, strength: float) -> None:
+    def _solve(self, strength: float) -> None:
         """Makes the picture of this strength; it starts at the duals of the nearest one so far."""
-        problem = Problem(self._term, prior, jnp.asarray(strength, jnp.float32))
+        problem = Problem(self._term, self._prior, jnp.asarray(strength, jnp.float32))
         nearest = min(self._states, key=lambda other: abs(math.log(other / strength)), default=None)
         similar = None if nearest is None else self._states[nearest]
-        state = run(solver, problem, self._first, similar=similar).state
-        self._states[strength], self.image = solver.kept(state), solver.image(state)
+        state = run(self._solver, problem, self._split.image, similar=similar).state
+        self._states[strength], self.image = self._solver.kept(state), self._solver.image(state)
 
     @property
     def begun(self) -> bool:
-        """Whether there is a picture that others can start from."""
+        """True once there is a picture that others can start from."""
         return bool(self._states)
 
-    def expose(self, solver: Solver, prior: Prior, strength: float) -> None:
-        """To be called first: takes the motion during exposures, if they are long, from pictures of this strength."""
-        plain = Problem(self._plain, prior, jnp.asarray(strength, jnp.float32))
-        self._plain = self._term = solver.prepared(plain).data
-        for _ in range(2 if self._kept.finest > 1 else 0):
-            self.solve(solver, prior, strength)
-            self._term = with_exposure(self._plain, self._kept, self.image)
-
-    def missed(self) -> Float[Array, "2"]:
-        """Weighted sum of squares by which the picture misses the samples to predict, and of their weights."""
-        return _missed(self._held, self._plain, self.image)
+    def error(self, strength: float) -> Float[np.ndarray, "2"]:
+        """Weighted sum of squares by which the picture of this strength misses the held-out samples, and of weights."""
+        self._solve(strength)
+        return np.asarray(_weighted_error(self._split.held, self._plain, self.image))
 
     def term(self) -> DataTerm | None:
-        """M, c and e of all its samples, if those of `both` are known."""
-        return _together(*self._sums) if len(self._sums) == 2 else None
-
-
-def _misses(solver: Solver, prior: Prior, strength: float, part: _Part) -> Float[np.ndarray, "2"]:
-    """`_Part.missed` of the picture of this strength."""
-    part.solve(solver, prior, strength)
-    return np.asarray(part.missed())
+        """M, c and e of all its samples; None where those of the held-out ones were not summed."""
+        return _added(*self._sums) if len(self._sums) == 2 else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,8 +165,10 @@ class StrengthSearch:
     - `scale` s; `prior`, `solver`, `sampling`, `gain` and `optics` as for the reconstruction. `FISTA` stands in for
       solvers that use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`.
     - `noise`: standard deviation of a pixel's mean (`noise_of_mean`), intensity; found if None.
-    - `merge`: whether intervals are merged where nothing moves; `reuse_sums`: whether M and c of kept and held-out
-      samples are added up for the solve that follows.
+    - `merged_intervals`: whether intervals are merged where nothing moves; `reused_sums`: whether M and c of kept and
+      held-out samples are added up for the solve that follows (`Shortcuts`).
+    - `sampling_settings`: how parts of the picture are measured; `settings`: which samples are held out, which
+      strengths are tried, and how much stronger than these the prior becomes.
     """
 
     scale: int
@@ -204,8 +178,10 @@ class StrengthSearch:
     gain: Float[np.ndarray, "h w"] | None = None
     optics: LinearOperator | None = None
     noise: float | None = None
-    merge: bool = True
-    reuse_sums: bool = True
+    merged_intervals: bool = True
+    reused_sums: bool = True
+    sampling_settings: SamplingSettings = field(default_factory=SamplingSettings)
+    settings: StrengthSettings = field(default_factory=StrengthSettings)
 
     def find(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
@@ -222,28 +198,27 @@ class StrengthSearch:
 
         **Raises:** as `relative_strength`.
         """
-        noise = noise_of_mean(clip) if self.noise is None else self.noise
-        least = strength_of_noise(noise, self.scale, self.prior)
-        parts = self._parts(clip, motion, measurements, image)
+        settings = self.settings
+        noise = noise_of_mean(clip, settings) if self.noise is None else self.noise
+        least = strength_of_noise(noise, self.scale, self.prior, settings)
+        parts = self._splits(clip, motion, measurements, image)
         if not parts:
             return ValidatedStrength(least)
         # A prior that is used by its gradient need not have a proximal step.
         kind = self.solver if isinstance(self.solver, Smooth) else FISTA()
-        solver = dataclasses.replace(kind, iterations=_ITERATIONS, tolerance=_TOLERANCE)
+        solver = dataclasses.replace(kind, iterations=settings.iterations, tolerance=settings.tolerance)
         ridge = isinstance(self.prior, RidgeRegulariser)
         stand_in = HuberTotalVariation() if ridge else self.prior
         share = relative_strength(self.prior) / relative_strength(stand_in)
-        folds = [part for _, part in parts]
+        folds = in_threads(lambda part: _Fold(part[1], self.optics, solver, stand_in, least / share), parts)
         whole = folds[0].image.shape == image.shape
         errors: dict[float, float] = {}
         pictures: dict[float, Float[Array, "H W"]] = {}
 
-        in_threads(lambda part: part.expose(solver, stand_in, least / share), folds)
-
         def error(factor: float) -> float:
             """Mean square by which held-out samples are missed at `factor` times the strength by noise."""
             if factor not in errors:
-                sums = in_threads(partial(_misses, solver, stand_in, least * factor / share), folds)
+                sums = in_threads(lambda fold: fold.error(least * factor / share), folds)
                 squares, weights = np.sum(sums, 0)
                 errors[factor] = float(squares / weights)
                 if whole:
@@ -251,33 +226,35 @@ class StrengthSearch:
             return errors[factor]
 
         intervals = isinstance(self.sampling, Intervals)
-        best, highest = 1.0, _HIGHEST if intervals else _HIGHEST_OF_OTHERS
+        best, highest = 1.0, settings.most_tried if intervals else settings.most_tried_windows
         if not any(part.begun for part in folds):
             error(2.0)  # from nothing a smoother picture is found sooner, and is a start for others
         while error(best) > error(2 * best) and 2 * best < highest:
             best *= 2
-        while best <= 1 and error(best / 2) < error(best) and best / 2 >= _LOWEST:
+        while best <= 1 and error(best / 2) < error(best) and best / 2 >= settings.least_tried:
             best /= 2
         best *= 2 ** _vertex(error(best / 2), error(best), error(2 * best))
         moved = motion.moved(len(clip.spikes))
-        by_pixel = float(np.mean([(moved[area] >= MOVED).mean() for area, _ in parts]))
-        beyond, at_least = (
-            of_time ** (1 - by_pixel) * of_pixels**by_pixel for of_time, of_pixels in (_BEYOND, _AT_LEAST)
+        by_pixel = float(np.mean([(moved[area] >= settings.held_out_motion_px).mean() for area, _ in parts]))
+        raised_by, at_least = (
+            of_time ** (1 - by_pixel) * of_pixels**by_pixel
+            for of_time, of_pixels in (settings.raised_by, settings.least_by_noise)
         )
-        times, near, term = max(at_least, beyond * best), None, None
+        times, near, term = max(at_least, raised_by * best), None, None
         if whole:
             term = folds[0].term()
             near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
             near = near if bool(jnp.isfinite(near).all()) else None
         if ridge:
-            times = max(at_least, beyond * _STAND_IN[0] * best ** _STAND_IN[1])
+            times = max(at_least, raised_by * settings.ridge_factor * best**settings.ridge_exponent)
         return ValidatedStrength(least * times, near, term)
 
-    def _parts(
+    def _splits(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]
-    ) -> list[tuple[tuple[slice, slice], "_Part"]]:
-        """Parts of the picture with their rows and columns, sensor pixels; none where too few samples are held out."""
-        side = _side_of_parts(clip, self.scale, self.optics)
+    ) -> list[tuple[tuple[slice, slice], _Split]]:
+        """Rows and columns, sensor pixels, of parts of the picture, with their samples split; none where too few
+        samples are held out."""
+        settings, side = self.settings, _side_of_parts(clip, self.scale, self.optics, self.settings)
         good = np.ones(clip.shape, bool) if clip.bad_pixels is None else ~clip.bad_pixels
         moved = motion.moved(len(clip.spikes))
         known, path = (
@@ -287,40 +264,41 @@ class StrengthSearch:
         # Held-out intervals must not be merged with others.
         unmerged = None if known is None or (known.merged_for > 1).any() else known
 
-        def made(area: tuple[slice, slice]) -> _Part | None:
+        def made(area: tuple[slice, slice]) -> _Split | None:
             # Sums of few pixels are too few to tell.
-            merge = self.merge and int(good[area].sum()) >= _FEWEST
+            merge = self.merged_intervals and int(good[area].sum()) >= settings.least_samples
             pieces, part, first, merged = unmerged, clip.part(*area), image[_scaled(area, self.scale)], False
             gain = None if self.gain is None else self.gain[area]
             if pieces is None or good[area].shape != good.shape:
                 # No more is merged than what is held out as a whole, if that holds intervals enough.
                 if merge and isinstance(self.sampling, Intervals):
                     if on_sensor and self.sampling.noise is None:
-                        return self._part_at_rest(part, path.part(*area), first, gain)
+                        return self._split_at_rest(part, path.part(*area), first, gain)
                     frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
-                    merged = bool(frames_each.mean() <= STRETCH / 2)
+                    merged = bool(frames_each.mean() <= settings.held_out_frames / 2)
                 pieces = measure(
                     part,
                     path.part(*area),
                     scale=self.scale,
                     sampling=self.sampling,
                     gain=gain,
-                    merge=merge,
-                    longest=STRETCH if merged else 1,
-                    on_sensor=self.merge,
+                    merged_intervals=merge,
+                    longest=settings.held_out_frames if merged else 1,
+                    on_sensor=self.merged_intervals,
+                    settings=self.sampling_settings,
                 )
-            both = self.reuse_sums and pieces is unmerged
-            return _split(pieces, moved[area], merged, self.optics, first, both=both)
+            reused = self.reused_sums and pieces is unmerged
+            return _split(pieces, moved[area], merged, first, settings, reused=reused)
 
-        areas = _chosen(image, self.scale, side, good)
+        areas = _chosen_areas(image, self.scale, side, good, settings.most_parts)
         return [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
 
-    def _part_at_rest(
+    def _split_at_rest(
         self, part: Clip, path: Trajectory, first: Float[Array, "H W"], gain: Float[np.ndarray, "h w"] | None
-    ) -> "_Part | None":
-        """As `_split` of intervals where nothing moves: all that a pixel keeps, and all that is held out of it, is one
-        sample. What is missed then differs from what the intervals are missed by in a number that is the same for all
-        pictures."""
+    ) -> _Split | None:
+        """The part of a scene at rest, where all intervals of a pixel that are kept make one sample, and all that are
+        held out another; None where there are too few. The error differs from that of single intervals by a number that
+        is the same for all pictures."""
         assert isinstance(self.sampling, Intervals)
         scale, (frames, height, width) = self.scale, part.spikes.shape
         rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
@@ -340,19 +318,22 @@ class StrengthSearch:
             shape = (scale * height, scale * width)
             return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
 
-        kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends))
-        if min(np.count_nonzero(some.weight) for some in (kept, held)) < _FEWEST:
+        kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends, settings=self.settings))
+        if min(np.count_nonzero(some.weight) for some in (kept, held)) < self.settings.least_samples:
             return None
-        return _Part(kept, held, first, self.optics)
+        return _Split(kept, held, first)
 
 
-def _chosen(
-    image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"]
+def _chosen_areas(
+    image: Float[Array, "H W"], scale: int, side: int, good: Bool[np.ndarray, "h w"], most: int
 ) -> list[tuple[slice, slice]]:
-    """The rows and columns, sensor pixels, of parts of up to `side` a side, as many as fit, `_PARTS` at most. All
-    parts that overlap by up to half are sorted by their mean contrast in `image` into as many groups; of each, the one
-    nearest to the group's mean is taken, of equals that nearest to the middle. Only `good` pixels count, and parts with
-    less than half their share of them are left out."""
+    """Rows and columns, sensor pixels, of the parts that strengths are tried on.
+
+    Parts are up to `side` a side. All that overlap by up to half are sorted by their mean contrast in `image` into
+    groups, one for each part that fits beside the others, `most` at most; of each group the one nearest to its mean is
+    taken, of equals that nearest to the middle. Only `good` pixels count, and parts with less than half their share of
+    them are left out.
+    """
     height, width = good.shape
     contrast = good * np.asarray(_contrast(jnp.asarray(image), scale))
     begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in good.shape]
@@ -364,7 +345,7 @@ def _chosen(
     parts = [part for part in parts if good[part].mean() >= enough] or parts
     rich = np.array([contrast[part].sum() / max(good[part].sum(), 1) for part in parts])
     fitting = max(1, good.size // (min(side, height) * min(side, width)))
-    groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), _PARTS))
+    groups = np.array_split(np.argsort(rich, kind="stable"), min(fitting, len(parts), most))
     return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
 
 
@@ -386,50 +367,59 @@ def _split(
     taken: Measurements,
     moved: Float[np.ndarray, "h w"],
     merged: bool,
-    optics: LinearOperator | None,
     first: Float[Array, "H W"],
+    settings: StrengthSettings,
     *,
-    both: bool,
-) -> _Part | None:
-    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `both`: as
-    of `_Part`."""
-    held, weight = held_out(taken.padded, moved, merged=merged), np.asarray(taken.placed.weight)
+    reused: bool,
+) -> _Split | None:
+    """The samples, a fifth of them held out; None if there are too few to do so. `merged`: as of `held_out`; `reused`:
+    as of `_Split`."""
+    held = held_out(taken.padded, moved, merged=merged, settings=settings)
+    weight = np.asarray(taken.placed.weight)
     counted = np.flatnonzero(held & (weight > 0))
-    if min(counted.size, np.count_nonzero(weight) - counted.size) < _FEWEST:
+    if min(counted.size, np.count_nonzero(weight) - counted.size) < settings.least_samples:
         return None
-    # Of few lengths, for compiled code to be met again.
+    # Padded to one of few lengths, so that compiled code is used again.
     filling = (0, padded_length(counted.size) - counted.size)
     chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
     chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
     kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Part(kept, chosen, first, optics, both=both)
+    return _Split(kept, chosen, first, reused)
 
 
-def longest_merged(clip: Clip, motion: Motion, scale: int, optics: LinearOperator | None = None) -> int | None:
+def longest_merged(
+    clip: Clip,
+    motion: Motion,
+    scale: int,
+    optics: LinearOperator | None = None,
+    settings: StrengthSettings = StrengthSettings(),
+) -> int | None:
     """Frames over which intervals may be merged so that the same samples serve the picture and the validation: 1 where
     something moves and the whole picture is one part, as what is held out has to be in pieces; None for any."""
-    return 1 if motion.speed.any() and not in_parts(clip, scale, optics) else None
+    return 1 if motion.speed.any() and not in_parts(clip, scale, optics, settings) else None
 
 
-def in_parts(clip: Clip, scale: int, optics: LinearOperator | None = None) -> bool:
-    """Whether strengths are tried on parts of the picture, or on the whole."""
-    return max(clip.spikes.shape[1:]) > _side_of_parts(clip, scale, optics)
+def in_parts(
+    clip: Clip, scale: int, optics: LinearOperator | None = None, settings: StrengthSettings = StrengthSettings()
+) -> bool:
+    """True where strengths are tried on parts of the picture, false where on the whole."""
+    return max(clip.spikes.shape[1:]) > _side_of_parts(clip, scale, optics, settings)
 
 
-def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None) -> int:
+def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None, settings: StrengthSettings) -> int:
     """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
-    return max(_SIDE // scale, 1) if optics is None else max(clip.spikes.shape[1:])
+    return max(settings.part_px // scale, 1) if optics is None else max(clip.spikes.shape[1:])
 
 
 @eqx.filter_jit
-def _missed(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
+def _weighted_error(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
     """Sums of the weighted squares by which a picture misses the held-out samples, and of their weights."""
     error = held.read(term.blurred(image)) - held.value
     return jnp.stack([jnp.sum(held.weight * error**2), jnp.sum(held.weight)])
 
 
 @eqx.filter_jit
-def _together(some: DataTerm, others: DataTerm) -> DataTerm:
+def _added(some: DataTerm, others: DataTerm) -> DataTerm:
     """The term of some samples and of others."""
 
     def sums(of: DataTerm) -> Any:
@@ -439,6 +429,6 @@ def _together(some: DataTerm, others: DataTerm) -> DataTerm:
 
 
 def _vertex(before: float, at: float, after: float) -> float:
-    """Where the parabola through three values at −1, 0 and 1 is least, within these."""
+    """The minimum of the parabola through three values at −1, 0 and 1, from −1 to 1."""
     curvature = before - 2 * at + after
     return float(np.clip((before - after) / (2 * curvature), -1, 1)) if curvature > 0 else 0.0

@@ -1,4 +1,4 @@
-"""A clip, a scale and options, and the stages that need nothing else: motion, samples, summary of the scene."""
+"""`Task`: a clip, a scale and options, and the stages that need nothing else (motion, samples, scene summary)."""
 
 import time
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.measurement import Measurements, measure
 from scsr_opt.pipeline.options import Options
-from scsr_opt.pipeline.scene_summary import SceneSummary, summarise_scene
+from scsr_opt.pipeline.scene_summary import SampleWeights, SceneSummary, summarise_scene
 from scsr_opt.pipeline.strength import StrengthSearch, longest_merged
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Solver
+from scsr_opt.solvers.solver import Solver
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Task:
         return Automatic(skip=self.options.shortcuts.simple_motion) if motion is None else motion
 
     def motion_frames(self, gain: Float[np.ndarray, "h w"] | None) -> MotionFrames | None:
-        """The pictures, over these gains, by which motion is estimated; None where none can be seen."""
+        """Short pictures along the clip, over these gains, to estimate motion by; None where no motion can show."""
         clip = self.clip
         return comparable(clip.spikes, key=clip.key, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels, gain=gain)
 
@@ -66,13 +66,14 @@ class Task:
         return Motion.none(*self.clip.shape) if frames is None else motion_in(frames, self.estimator)
 
     def estimate_gain_at_rest(self) -> Float[np.ndarray, "h w"]:
-        """Gains of the pixels by what is known of pictures, where the scene does not move."""
+        """Gains of the pixels of a scene at rest, (h, w), told from the picture by a network (`gain_at_rest`)."""
         clip = self.clip
         return gain_at_rest(
             clip.spikes,
             white_rate=clip.white_rate,
             bad_pixels=clip.bad_pixels,
-            skip=self.options.shortcuts.sampled_gains,
+            sampled_gains=self.options.shortcuts.sampled_gains,
+            settings=self.options.settings.gain,
         )
 
     def trajectory(self, motion: Motion) -> Trajectory:
@@ -85,16 +86,19 @@ class Task:
         """The samples along a motion; `path`: its trajectory, where that is known already."""
         options = self.options
         # Samples that are held out to find the strength must not be merged with those that are kept.
-        longest = longest_merged(self.clip, motion, self.scale, options.lens) if options.selects_strength else None
+        longest = None
+        if options.selects_strength:
+            longest = longest_merged(self.clip, motion, self.scale, options.lens, options.settings.strength)
         return measure(
             self.clip,
             self.trajectory(motion) if path is None else path,
             scale=self.scale,
             sampling=options.samples,  # type: ignore[arg-type]
             gain=gain,
-            merge=options.shortcuts.merged_intervals,
+            merged_intervals=options.shortcuts.merged_intervals,
             longest=1 if options.samples_apart else longest,
             on_sensor=options.shortcuts.sensor_grid and not options.refine,
+            settings=options.settings.sampling,
         )
 
     def strength_search(
@@ -115,12 +119,14 @@ class Task:
             gain=gain,
             optics=optics,
             noise=noise,
-            merge=self.options.shortcuts.merged_intervals,
-            reuse_sums=self.options.shortcuts.reused_sums,
+            merged_intervals=self.options.shortcuts.merged_intervals,
+            reused_sums=self.options.shortcuts.reused_sums,
+            sampling_settings=self.options.settings.sampling,
+            settings=self.options.settings.strength,
         )
 
     def summarise(self, motion: Motion, measurements: Measurements, noise: float) -> SceneSummary | None:
-        """What each part of the scene needed; None where no work may be left out."""
+        """Summary of what each part of the scene needed; None where no work may be left out."""
         if not self.options.shortcuts.any:
             return None
         samples, clip = measurements.samples, self.clip
@@ -129,11 +135,14 @@ class Task:
             motion,
             measurements.still_for,
             measurements.merged_for,
-            pixel=np.asarray(samples.row * clip.shape[1] + samples.column),
-            light=measurements.light,
-            used=np.asarray(measurements.placed.weight)[: samples.row.size],
+            weights=SampleWeights(
+                pixel=np.asarray(samples.row * clip.shape[1] + samples.column),
+                measured=measurements.light,
+                placed=np.asarray(measurements.placed.weight)[: samples.row.size],
+            ),
             noise=noise * clip.white_rate,
             bad_pixels=clip.bad_pixels,
+            settings=self.options.settings.scene_summary,
         )
         # Only intervals are ever merged.
         return summary if isinstance(self.options.samples, Intervals) else summary.unmerged()

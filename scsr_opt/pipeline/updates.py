@@ -1,4 +1,4 @@
-"""What is found anew between two solves: gains of the pixels, and the motion, from the picture so far.
+"""Updates between two solves: gains of the pixels, and the motion, from the picture so far.
 
 The outer loop (`scsr_opt.pipeline.reconstruct`) solves, applies an update, and solves again from there. Two more
 updates happen within a solve, as they need no more than its picture: corrections for the motion during exposures, and
@@ -12,16 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scsr_opt.calibration.gain import FIXED_PATTERN, gain_is_known, spread_of
+from scsr_opt.calibration.gain import gain_is_known, spread_of
 from scsr_opt.pipeline.assembly import Assembly
 from scsr_opt.pipeline.measurement import Measurements
 from scsr_opt.pipeline.motion_refinement import refine
 from scsr_opt.pipeline.outer_loop import Majorized
-
-GAIN_ROUNDS = 2
-"""Rounds of picture and gain: the first finds most of a pattern, the second the rest."""
-GAIN_PROBES = 400
-"""Pixels, at most, whose gains say whether there is a fixed pattern: their spread is known to 3.5 % (1 / √2n)."""
 
 
 class Updated(NamedTuple):
@@ -36,11 +31,11 @@ class Update(abc.ABC):
 
     @abc.abstractmethod
     def rounds(self, assembly: Assembly) -> int:
-        """How many times it is applied at most."""
+        """The number of times that it is applied, at most."""
 
     @abc.abstractmethod
     def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
-        """The problem after update `number`, from 0; `found`: the solve before it."""
+        """The problem after update `number`, counted from 0; `found`: the solve before it."""
 
 
 @dataclass(frozen=True)
@@ -49,38 +44,41 @@ class GainUpdate(Update):
     (`blind_gain`). Motion is then estimated again over the gains, and the strength validated again, once."""
 
     def rounds(self, assembly: Assembly) -> int:
-        return GAIN_ROUNDS if assembly.task.options.finds_gain and assembly.gain_known.any() else 0
+        options = assembly.task.options
+        return options.settings.gain.rounds if options.finds_gain and assembly.gain_known.any() else 0
 
     def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
         options = assembly.task.options
         if number == 0 and options.gain == "auto":
             spread = self._pattern(assembly, found)
             assembly = _with_spread(assembly, spread)
-            if spread < FIXED_PATTERN:
+            if spread < options.settings.gain.pattern_spread:
                 return Updated(assembly, False)
         task, motion, measured, known = assembly.task, assembly.motion, assembly.measured, assembly.gain_known
         gain = self._gain(assembly, found, measured, at_rest=assembly.gain_at_rest)
         assembly = _with_spread(assembly, spread_of(gain, known))
-        if task.estimator is not None:  # a pattern, which rests, had been among what moves
+        if task.estimator is not None:  # motion was estimated with the pattern in, which rests
             motion = task.estimate_motion(task.motion_frames(gain))
             measured = task.measure(motion, None)
-            known = gain_is_known(motion.moved(len(task.clip.spikes)))
+            known = gain_is_known(motion.moved(len(task.clip.spikes)), options.settings.gain)
             assembly = replace(assembly, motion=motion)
             gain = self._gain(assembly, found, measured, at_rest=assembly.gain_at_rest)
             scene = task.summarise(motion, measured, assembly.noise)
             assembly = replace(assembly, measured=measured, gain_known=known, scene=scene)
         measurements = measured.with_gain(gain, known, assembly.noise)
         assembly = replace(assembly, measurements=measurements, gain=gain, near=None, term=None)
-        if options.selects_strength and number == 0:  # a fixed pattern had asked for more
+        if options.selects_strength and number == 0:  # with the pattern in, a stronger prior had predicted best
             assembly = replace(assembly.with_validated_strength(), near=None).with_sums()
         return Updated(assembly, True)
 
     def _pattern(self, assembly: Assembly, found: Majorized) -> float:
         """Spread of the gains: of some of the pixels first, of all where those show a pattern."""
-        known, spread = assembly.gain_known, 0.0
-        for pixels in [_some(known), known] if assembly.task.options.shortcuts.sampled_gains else [known]:
-            spread = spread_of(self._gain(assembly, found, assembly.measured, of=pixels), pixels)
-            if spread < FIXED_PATTERN:
+        known, options, spread = assembly.gain_known, assembly.task.options, 0.0
+        settings = options.settings.gain
+        sampled = [_some(known, settings.probed_pixels)] if options.shortcuts.sampled_gains else []
+        for pixels in [*sampled, known]:
+            spread = spread_of(self._gain(assembly, found, assembly.measured, pixels=pixels), pixels)
+            if spread < settings.pattern_spread:
                 break
         return spread
 
@@ -90,11 +88,18 @@ class GainUpdate(Update):
         found: Majorized,
         measured: Measurements,
         *,
-        of: Bool[np.ndarray, "h w"] | None = None,
+        pixels: Bool[np.ndarray, "h w"] | None = None,
         at_rest: Float[np.ndarray, "h w"] | None = None,
     ) -> Float[np.ndarray, "h w"]:
-        robust = assembly.method.robust
-        return measured.gain(assembly.task.clip, assembly.motion, found.blurred, robust=robust, of=of, at_rest=at_rest)
+        return measured.gain(
+            assembly.task.clip,
+            assembly.motion,
+            found.blurred,
+            robust=assembly.method.robust,
+            pixels=pixels,
+            at_rest=at_rest,
+            settings=assembly.task.options.settings.gain,
+        )
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,8 @@ class MotionRefinement(Update):
 
     def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
         task, motion, before = assembly.task, assembly.motion, assembly.measurements
-        refined = refine(motion, found.blurred, before.padded, before.placed, key=task.clip.key)
+        settings = task.options.settings.refinement
+        refined = refine(motion, found.blurred, before.padded, before.placed, key=task.clip.key, settings=settings)
         motion = replace(refined, trust=motion.trust)  # as reliable as the motion that was refined
         gain, finds_gain = assembly.gain, task.options.finds_gain
         measured = task.measure(motion, None if finds_gain else gain)
@@ -122,9 +128,9 @@ def _with_spread(assembly: Assembly, spread: float) -> Assembly:
     return replace(assembly, diagnostics=replace(assembly.diagnostics, gain_spread=spread))
 
 
-def _some(pixels: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """`GAIN_PROBES` of these pixels by chance, the same each time; a regular choice could miss a regular pattern."""
-    chosen = np.random.default_rng(0).permutation(np.flatnonzero(pixels))[:GAIN_PROBES]
+def _some(pixels: Bool[np.ndarray, "h w"], most: int) -> Bool[np.ndarray, "h w"]:
+    """`most` of these pixels by chance, the same each time; a regular choice could miss a regular pattern."""
+    chosen = np.random.default_rng(0).permutation(np.flatnonzero(pixels))[:most]
     some = np.zeros(pixels.shape, bool)
     some.reshape(-1)[chosen] = True
     return some

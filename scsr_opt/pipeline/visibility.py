@@ -1,7 +1,7 @@
 """Intervals that can be used for a part of their exposure, cut to that part.
 
-What a pixel sees may come into view, be hidden, leave the picture, or stop moving as the motion says, during an
-exposure; as it is, the whole sample then counts as little as its worst moment. But the stretch of time that can be used
+During an exposure a surface may come into view, be hidden, leave the picture, or stop moving as the motion says; a
+sample that is not cut then counts as little as its worst moment. But the stretch of time that can be used
 is a recording of its own, and an interval that reaches beyond it is one of its ends (`scsr_opt.camera.samples`): ½θ if
 a spike begins or ends it, nothing if none does. Without these, dark surfaces, whose intervals are long, are known by
 their brightest moments only.
@@ -12,7 +12,6 @@ a frame or two is too rough to be of use. A scene that is in view for less than 
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -20,14 +19,18 @@ from jaxtyping import Array, Bool, Float, Int
 from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.stacks import folded
 from scsr_opt.motion.trajectory import SPACING, Trajectory
-
-# The share of what its light is worth at most from which on a pixel counts as seen.
-_SEEN = 0.5
-# Frames: shorter intervals are not cut, and what is left of longer ones is not shorter than this.
-_LONG, _LEAST = 2 * SPACING, SPACING
+from scsr_opt.pipeline.settings import SamplingSettings
 
 
-def cut_to_seen(samples: Samples, path: Trajectory, *, frames: int, white_rate: float, ends: float) -> Samples:
+def cut_to_seen(
+    samples: Samples,
+    path: Trajectory,
+    *,
+    frames: int,
+    white_rate: float,
+    ends: float,
+    settings: SamplingSettings = SamplingSettings(),
+) -> Samples:
     """The samples, in the same order, those cut to the longest stretch that can be used whose weight that increases.
 
     **Arguments:**
@@ -35,29 +38,30 @@ def cut_to_seen(samples: Samples, path: Trajectory, *, frames: int, white_rate: 
     - `path`: where in the key frame lies what the pixels see, from frame 0 to the last of `frames`.
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `ends`: weight of an end per frame.
+    - `settings`: from which share of its weight on a pixel counts as seen, and which intervals are cut.
     """
     if len(path.position) == 1:
         return samples
-    every, partly = _usable(path)
+    every, partly = _usable(path, settings.visible_least_share)
     partly = np.asarray(partly)
     # Of several intervals that were merged it is not known in which part the spikes lay.
     duration = samples.stop - samples.start
     single = samples.value * duration < 1.5 / white_rate
-    chosen = np.flatnonzero(partly[samples.row, samples.column] & single & (duration >= _LONG))
+    chosen = np.flatnonzero(partly[samples.row, samples.column] & single & (duration >= settings.cut_least_frames))
     if chosen.size == 0:
         return samples
     usable = np.asarray(every).reshape(len(every), -1)[:, partly.reshape(-1)]
     number = np.cumsum(partly).reshape(partly.shape) - 1
     start, stop = (np.asarray(times)[chosen] for times in (samples.start, samples.stop))
     pixel = number[samples.row[chosen], samples.column[chosen]]
-    enough = _SEEN * usable.max(0)[pixel]
+    enough = settings.visible_least_share * usable.max(0)[pixel]
     begin, end, least = _longest_stretch(usable, pixel, start, stop, enough, first=float(path.first))
     left, weight = end - begin, (end - begin) * np.float32(ends)
-    better = (left >= _LEAST) & (left < stop - start)
+    better = (left >= settings.cut_remaining_frames) & (left < stop - start)
     better &= enough * weight > least * samples.weight[chosen]
     # One of the two at most is where the interval begins or ends; the recording's own ends are no spikes.
     spike = ((begin == start) & (start >= 0)) | ((end == stop) & (stop <= frames - 1))
-    value = np.where(spike, np.float32(0.5 / white_rate), 0) / np.maximum(left, _LEAST)
+    value = np.where(spike, np.float32(0.5 / white_rate), 0) / np.maximum(left, settings.cut_remaining_frames)
     fields = tuple(np.array(v) for v in (samples.start, samples.stop, samples.value, samples.weight))
     for field, cut in zip(fields, (begin, end, value, weight), strict=True):
         field[chosen[better]] = cut[better]
@@ -89,7 +93,7 @@ def _longest_stretch(
     least, since = (np.full(start.size, np.inf, np.float32) for _ in range(2))
     longest = np.zeros((2, start.size), np.float32)
     for k in range(span.max(initial=0) + 1):
-        some = order[: np.searchsorted(-span, -k, side="right")]  # those that have so many
+        some = order[: np.searchsorted(-span, -k, side="right")]  # those with at least k moments
         moment = before[some] + k
         seen, time = usable[moment, pixel[some]], np.float32(first) + np.float32(SPACING) * moment.astype(np.float32)
         if k == 0:
@@ -105,9 +109,9 @@ def _longest_stretch(
     return longest[0], longest[1], least
 
 
-@jax.jit
-def _usable(path: Trajectory) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]]:
-    """How far what each pixel sees at the trajectory's moments can be used, and of which pixels much more at one time
-    than at another."""
+@eqx.filter_jit
+def _usable(path: Trajectory, visible_least_share: float) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]]:
+    """Weight of each pixel at the trajectory's moments, (n, h, w), and the pixels, (h, w), whose least weight is below
+    the visible share of their largest."""
     usable = path.usable
-    return usable, folded(jnp.minimum, usable) < _SEEN * folded(jnp.maximum, usable)
+    return usable, folded(jnp.minimum, usable) < visible_least_share * folded(jnp.maximum, usable)

@@ -1,4 +1,4 @@
-"""What is known about pictures beforehand: the Ψ of Eq. 4, with its value and its proximal step."""
+"""Priors, knowledge about pictures beforehand: the Ψ of Eq. 4, with its value and its proximal step."""
 
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.bilateral_total_variation import BilateralTotalVariation

@@ -4,7 +4,7 @@ import abc
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic
+from typing import ClassVar, Generic
 
 import equinox as eqx
 import jax
@@ -12,16 +12,10 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array, Float
 
+from scsr_opt._kernels.leafwise import leaf_by_leaf
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.prior import Prior, State
 from scsr_opt.priors.strengths import divisible
-
-# Dual steps of a cycle, at most, and the smallest eigenvalue that their lengths are made for, as a share of the
-# largest. At 0.1 long steps and the projections that follow them kept each other going (docs/measurements.md).
-_CYCLE, _SMALLEST = 5, 0.2
-
-# A loop over cycles writes its carry to memory once more each time round: unrolled as a whole where that is short.
-_UNROLL = 2
 
 
 class Analysis(Prior[State], Generic[State]):
@@ -45,7 +39,7 @@ class Analysis(Prior[State], Generic[State]):
     a bound of K diag(w) K* on each value of the field allows (`bounds`; Pock and Chambolle, 2011, "Diagonal
     preconditioning for first order primal-dual algorithms in convex optimization").
 
-    A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: hand the
+    A proximal step from the p of a similar problem, the last one of an outer iteration for example, needs few: give the
     returned state to the next call. Four to ten are then enough. For a single one from `initial_state` use 100 or more,
     and `gap` to see how far it got.
 
@@ -125,12 +119,12 @@ class Analysis(Prior[State], Generic[State]):
         state: State,
         nearest: Callable[[Float[Array, "H W"]], Float[Array, "H W"]],
     ) -> tuple[Float[Array, "H W"], State]:
-        """The same over the pictures of a closed convex set only, `nearest` being the projection onto it.
+        """`prox` over the pictures of a closed convex set only, `nearest` being the projection onto it.
 
         The minimiser is then nearest(f − λK*p), and the dual objective has the same Lipschitz constant (Beck and
         Teboulle, 2009, §4). The result is within the set after any number of steps.
         """
-        # Behind barriers are numbers that XLA does not know, and pictures that it does not compute anew for each use.
+        # Barriers hide numbers from XLA, and keep it from computing pictures anew for each use.
         if jnp.ndim(strength) == 0:
             off, strength = divisible(strength, image.dtype)
             # Steps of length 0, and not a choice at the end: that would make the last step more kernels than others.
@@ -139,7 +133,7 @@ class Analysis(Prior[State], Generic[State]):
             rate, last = along / bound, jnp.where(off, 0, strength)
         else:
             strength, divisor = jnp.asarray(strength, image.dtype), jnp.ones((), image.dtype)
-            # Values of the field that only pixels of strength 0 meet in change no picture, and may go on as they like:
+            # Values of the field that only pixels of strength 0 meet in change no picture, and may take any value:
             # to choose for each would cost a sixth more of memory's traffic.
             _, bound = divisible(self.bounds(strength), image.dtype)
             strength, rate, divisor = jax.lax.optimization_barrier((strength, 1 / bound, divisor))
@@ -168,7 +162,7 @@ class Analysis(Prior[State], Generic[State]):
 
         # Unrolled, the first picture of a cycle is computed in one pass with the last of the one before.
         (dual, _), _ = jax.lax.scan(
-            ascend, (state, state), _momenta(cycles, image.dtype), unroll=cycles if cycles <= _UNROLL else 1
+            ascend, (state, state), _momenta(cycles, image.dtype), unroll=cycles if cycles <= 2 else 1
         )
         return nearest(image - last * self.adjoint(dual)), dual
 
@@ -192,27 +186,17 @@ def _unbounded(image: Float[Array, "H W"]) -> Float[Array, "H W"]:
     return image
 
 
-def leaf_by_leaf(step: Callable[..., State], *given: Any) -> State:
-    """step(*given), each leaf of it calculated on its own.
+def dual_cycles(iterations: int, *, most: int = 5, smallest: float = 0.2) -> tuple[int, list[float]]:
+    """The number of cycles that make at least `iterations` dual steps, and the lengths of the steps of a cycle, in
+    units of 1/(λ²‖K‖²).
 
-    Written once, what leaves share (a length that both components of a vector are divided by) is calculated by a kernel
-    of its own and written to memory, and so is whatever leads to it: XLA for CPUs fuses a root or a division with one
-    user only, and makes no kernel with two results. Calculated twice it costs arithmetic, of which there is plenty: a
-    dual step of Huber-TV passes over 12 pictures instead of 19, in 0.6 to 0.8 of the time (docs/measurements.md).
+    **Arguments:** `most`: steps of a cycle; `smallest`: the smallest eigenvalue that they are made for, as a share of
+    the largest. At 0.1 long steps and the projections that follow them kept each other going.
     """
-    leaves, tree = jax.tree.flatten(step(*given))
-    for k in range(1, len(leaves)):
-        # Seen through the barrier it is another calculation, which XLA does not make one with the first.
-        leaves[k] = jax.tree.leaves(step(*jax.lax.optimization_barrier(given)))[k]
-    return jax.tree.unflatten(tree, leaves)
-
-
-def dual_cycles(iterations: int) -> tuple[int, list[float]]:
-    """How many cycles make at least so many dual steps, and the lengths of their steps, in units of 1/(λ²‖K‖²)."""
-    cycles = -(-iterations // _CYCLE)
+    cycles = -(-iterations // most)
     number = -(-iterations // cycles)
     angles = [math.pi * (2 * k + 1) / (2 * number) for k in range(number)]
-    rising = [2 / (1 + _SMALLEST + (1 - _SMALLEST) * math.cos(angle)) for angle in angles]
+    rising = [2 / (1 + smallest + (1 - smallest) * math.cos(angle)) for angle in angles]
     return cycles, [rising[k // 2] if k % 2 == 0 else rising[-1 - k // 2] for k in range(number)]
 
 

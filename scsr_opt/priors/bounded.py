@@ -30,7 +30,7 @@ class Bounded(Prior[BoundedState]):
     prior.
 
     Intensity is not negative, and where white is known it does not exceed it: worth having where the data hold little
-    (dark regions, few spikes), or where the picture goes on into something that needs a range.
+    (dark regions, few spikes), or where what uses the picture needs a range.
 
     The result of `prox` is always within the bounds, and so is the picture that a solver ends with. How exact `prox` is
     otherwise:
@@ -79,12 +79,12 @@ class Bounded(Prior[BoundedState]):
 
     @property
     def relative_strength(self) -> float | None:
-        """That of the prior."""
+        """The relative strength of the bounded prior."""
         return self.prior.relative_strength
 
     @property
     def separable(self) -> bool:
-        """As the prior: the nearest picture within the bounds is so pixel by pixel."""
+        """That of the bounded prior: the nearest picture within the bounds is found pixel by pixel."""
         return self.prior.separable
 
     def clip(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:

@@ -57,7 +57,7 @@ class Centred(Prior[Any]):
 
     @property
     def separable(self) -> bool:
-        """As the prior."""
+        """That of the centred prior."""
         return self.prior.separable
 
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
@@ -65,7 +65,7 @@ class Centred(Prior[Any]):
         return self.prior.value(self._apart(image))
 
     def value_after(self, image: Float[Array, "H W"], state: Any) -> Float[Array, ""]:
-        """The same, where the proximal step has found it."""
+        """`value`, where the proximal step has found it."""
         return self.prior.value_after(self._apart(image), state)
 
     @property
@@ -73,7 +73,7 @@ class Centred(Prior[Any]):
         return self.prior.has_prox
 
     def initial_state(self, image: Float[Array, "H W"]) -> Any:
-        """That of Ψ, at image − C."""
+        """State of Ψ, at image − C."""
         return self.prior.initial_state(self._apart(image))
 
     def prox(
@@ -87,7 +87,7 @@ class Centred(Prior[Any]):
         """image − C. **Raises:** `InputError` if the two have different shapes."""
         if image.shape != self.centre.shape:
             raise InputError(
-                f"Centred has a centre of shape {self.centre.shape}, but the picture has shape {image.shape}; hand in "
+                f"Centred has a centre of shape {self.centre.shape}, but the picture has shape {image.shape}; give "
                 "a centre of the picture's."
             )
         return image - self.centre

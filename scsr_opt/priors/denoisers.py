@@ -1,7 +1,7 @@
 """Denoisers for `PlugAndPlay` and `RED`: NumPy functions made callable from a jitted loop, and some of scikit-image.
 
 A denoiser is any callable (image, σ) → image, σ being the standard deviation of the noise to be removed, a scalar
-array in the picture's unit. One written in JAX can be handed over as it is; if it is an Equinox module (a network) its
+array in the picture's unit. One written in JAX can be given as it is; if it is an Equinox module (a network) its
 arrays are arguments of the compiled loop and may change without compiling anew.
 
 The functions that make one remember what they made: the same settings give the same denoiser, and with it what has
@@ -56,7 +56,7 @@ class NumpyDenoiser(eqx.Module):
 
 
 def denoised(denoiser: Denoiser, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
-    """What the denoiser makes of the picture, in the picture's dtype.
+    """The picture, denoised, in the picture's dtype.
 
     **Errors:** `InputError` where it cannot be called with JAX arrays, or gives no picture of this shape.
     """
@@ -90,7 +90,7 @@ def _words(numbers: Array) -> Array:
 
 
 def _numbers(words: Array, dtype: np.dtype) -> np.ndarray:
-    """What `_words` were made of."""
+    """The numbers that `_words` were made of."""
     array = np.ascontiguousarray(words)
     return array.view(dtype)[..., 0] if dtype == np.float64 else array.reshape(words.shape)
 

@@ -38,8 +38,8 @@ class Prior(eqx.Module, Generic[State]):
 
     @property
     def separable(self) -> bool:
-        """Whether `prox` takes a strength w(p) for each pixel p, too: argmin over X of ½ Σ_p (X(p) − image(p))² / w(p)
-        + Ψ(X)."""
+        """True where `prox` takes a strength w(p) for each pixel p, too: argmin over X of
+        ½ Σ_p (X(p) − image(p))² / w(p) + Ψ(X)."""
         return False
 
     @property
@@ -65,7 +65,7 @@ class Prior(eqx.Module, Generic[State]):
 
     @property
     def has_prox(self) -> bool:
-        """Whether there is a proximal step. A smooth prior can do without (`LBFGS`, `NonlinearCG`)."""
+        """True where there is a proximal step. A smooth prior can do without (`LBFGS`, `NonlinearCG`)."""
         return type(self).prox is not Prior.prox
 
     def with_inner_iterations(self, iterations: int) -> "Prior":

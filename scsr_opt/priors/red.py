@@ -26,8 +26,8 @@ class RED(Prior[Array]):
     for large λ and nearly exact for small. One denoising each, and one more in `value`.
 
     Unlike in `PlugAndPlay`, σ is chosen apart from λ (a number without unit here), and the result does not depend on a
-    solver's step size. For mild denoisers that are to be trusted a little. Where the scene moves, hand in a strength:
-    solves with a small one go on to lose for hundreds of iterations what they seem to have won at first, so that those
+    solver's step size. For mild denoisers that are to be trusted a little. Where the scene moves, give a strength:
+    solves with a small one lose over hundreds of iterations what they seem to have won at first, so that those
     by which λ is validated ask for a quarter of it or less with non-local means (brick by day, a pan: 20 dB; with four
     times as much 32, and Huber-TV 33).
 
@@ -51,8 +51,8 @@ class RED(Prior[Array]):
 
     @property
     def relative_strength(self) -> float:
-        """1.5/σ: λ has no unit here, and the less noise a denoiser is told of, the less it takes away. Strengths that
-        gave the best pictures were 0.7 to 0.9 times as much with the bilateral filter and 1.4 to 2.5 times with
+        """1.5/σ: λ has no unit here, and the smaller the noise level of a denoiser, the less it takes away. Strengths
+        that gave the best pictures were 0.7 to 0.9 times that with the bilateral filter and 1.4 to 2.5 times with
         non-local means, σ from 0.01 to 0.05 (docs/measurements.md)."""
         return 1.5 / self.sigma
 

@@ -25,17 +25,13 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 
 WEIGHTS = Path(__file__).parent / "weights"
-FRESH_ACCURACY = 1e-6
-"""Accuracy of a proximal step that starts anew (`with_inner_iterations`): distance left to the optimum, relative."""
-"""Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that says what it was trained on."""
+"""Where the shipped regularisers are, `ridge_<name>.npz`, each with a card that lists what it was trained on."""
 # Frequencies a side on which the norm of the bank is looked for.
-_GRID = 128
+_FREQUENCIES = 128
 # float32 keeps seven digits, and a file's filters were symmetric before they were rounded.
 _ROUNDING = 1e-5
-# What is seen by all filters together of a band of the picture, values: 1 MB in float32, so that it stays in the cache.
-_BAND = 250_000
-# Steps of a proximal step: at most, and where no number is enough for certain.
-_MOST, _PLAIN = 100, 3
+# Values that all filters together give for a band of the picture: 1 MB in float32, so that it stays in the cache.
+_BAND_VALUES = 250_000
 # What reading raises where a file is cut, changed or of another kind.
 _DAMAGE = (KeyError, ValueError, EOFError, OSError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error)
 
@@ -90,6 +86,11 @@ class RidgeRegulariser(Prior[RidgeState]):
     """
 
     smooth: ClassVar[bool] = True
+    # Steps of a proximal step, at most, and where no number of them is enough for certain.
+    MOST_STEPS: ClassVar[int] = 100
+    UNCERTAIN_STEPS: ClassVar[int] = 3
+    # `accuracy` of a proximal step that starts anew (`with_inner_iterations`).
+    FRESH_ACCURACY: ClassVar[float] = 1e-6
 
     filters: Float[Array, "C k k"]
     knots: Float[Array, "C K"]
@@ -129,7 +130,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         count, side, _ = self.filters.shape
         height, width = image.shape
         # On other processors there is one memory, and many small pieces of work are slow.
-        bands = -(-height * width * count // _BAND) if jax.default_backend() == "cpu" else 1
+        bands = -(-height * width * count // _BAND_VALUES) if jax.default_backend() == "cpu" else 1
         rows = -(-height // bands)
         bands = -(-height // rows)
         wide = _mirrored(image, side // 2)
@@ -153,7 +154,7 @@ class RidgeRegulariser(Prior[RidgeState]):
 
     def with_inner_iterations(self, iterations: int) -> "RidgeRegulariser":
         """This prior with an accurate proximal step, whose number of iterations follows from its accuracy."""
-        return eqx.tree_at(lambda ridge: ridge.accuracy, self, jnp.full_like(self.accuracy, FRESH_ACCURACY))
+        return eqx.tree_at(lambda ridge: ridge.accuracy, self, jnp.full_like(self.accuracy, self.FRESH_ACCURACY))
 
     def initial_state(self, image: Float[Array, "H W"]) -> RidgeState:
         """The picture: where the first proximal step begins."""
@@ -173,7 +174,7 @@ class RidgeRegulariser(Prior[RidgeState]):
         steepest, flattest = 1 + λ * self.curvature, 1 - λ * self.concavity
         rate = jnp.sqrt(jnp.maximum(flattest, 0) / steepest)
         enough = jnp.ceil(jnp.log(self.accuracy.astype(image.dtype) / 2) / jnp.log1p(-rate))
-        steps = jnp.where(flattest > 0, jnp.clip(enough, 1, _MOST), _PLAIN).astype(jnp.int32)
+        steps = jnp.where(flattest > 0, jnp.clip(enough, 1, self.MOST_STEPS), self.UNCERTAIN_STEPS).astype(jnp.int32)
         momentum = jnp.where(flattest > 0, (1 - rate) / (1 + rate), 0)
 
         def moved(ahead: Array, gradient: Array) -> Array:
@@ -266,7 +267,7 @@ def _within_adjoint(filters: Float[Array, "C k k"], field: Float[Array, "C h w"]
 
 
 def _windows(side: int, wide: Float[Array, "_ _"]) -> Float[Array, "kk h w"]:
-    """What a filter of this side sees at each place where it lies within a picture: a plane for each of its pixels."""
+    """Pixels under a filter of this side at each place where it lies within a picture: a plane for each of them."""
     height, width = (length - side + 1 for length in wide.shape)
     return jnp.stack(
         [wide[row : row + height, column : column + width] for row in range(side) for column in range(side)]
@@ -306,15 +307,17 @@ def _folded(wide: Float[Array, "_ _"], border: int) -> Float[Array, "H W"]:
 def bank_norm_squared(filters: Float[np.ndarray, "C k k"]) -> float:
     """An upper bound on ‖W‖² for pictures of every size, for a bank that mirroring does not change (see the class)."""
     degree = filters.shape[-1] - 1
-    response = np.sum(np.abs(np.fft.rfft2(filters, (_GRID, _GRID))) ** 2, axis=0)
-    return float(response.max() / np.cos(np.pi * degree / _GRID) ** 2)
+    response = np.sum(np.abs(np.fft.rfft2(filters, (_FREQUENCIES, _FREQUENCIES))) ** 2, axis=0)
+    return float(response.max() / np.cos(np.pi * degree / _FREQUENCIES) ** 2)
 
 
 def _check(filters: np.ndarray, knots: np.ndarray, slopes: np.ndarray) -> None:
     name = "RidgeRegulariser"
     shape = filters.shape
-    if len(shape) != 3 or shape[1] != shape[2] or shape[1] % 2 == 0 or shape[1] >= _GRID // 2:
-        raise InputError(f"{name} was given filters of shape {shape}; it needs (C, k, k), k odd, below {_GRID // 2}.")
+    if len(shape) != 3 or shape[1] != shape[2] or shape[1] % 2 == 0 or shape[1] >= _FREQUENCIES // 2:
+        raise InputError(
+            f"{name} was given filters of shape {shape}; it needs (C, k, k), k odd, below {_FREQUENCIES // 2}."
+        )
     if knots.ndim != 2 or knots.shape != slopes.shape or len(knots) != len(filters) or knots.size == 0:
         raise InputError(
             f"{name} was given {len(filters)} filters, knots of shape {knots.shape} and slopes of shape "

@@ -1,6 +1,6 @@
 """Total generalised variation of second order: edges stay edges, and slopes stay slopes."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,10 +17,6 @@ from scsr_opt.priors.total_variation import Dual, gradient, gradient_adjoint, le
 
 # ‖(X, w) ↦ (∇X − w, E w)‖² ≤ the larger eigenvalue of [[8, √8], [√8, 1 + 8]]; without X it is 9.
 _NORM_SQUARED = (17 + 33**0.5) / 2
-# Primal steps are these multiples of the strength, or of the mean |∇X| where X is fixed: they have the picture's unit,
-# as w has, so that a picture in other units takes the same steps. Measured on denoising at several strengths: 0.1 to
-# 0.3 are best for 10 to 200 steps, 1 is 3 times slower; with X fixed 0.03, and 0.3 is 5 times slower.
-_STEP, _STEP_OF_VALUE = 0.2, 0.03
 
 
 class Bending(NamedTuple):
@@ -69,6 +65,12 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
     **Errors:** `InputError` for other values.
     """
 
+    # Primal steps are these multiples of the strength, or of the mean |∇X| where X is fixed: they have the picture's
+    # unit, as w has, so that a picture in other units takes the same steps. Measured on denoising at several strengths:
+    # 0.1 to 0.3 are best for 10 to 200 steps, 1 is 3 times slower; with X fixed 0.03, and 0.3 is 5 times slower.
+    STEP: ClassVar[float] = 0.2
+    VALUE_STEP: ClassVar[float] = 0.03
+
     ratio: float = eqx.field(static=True)
     iterations: int = eqx.field(static=True)
     value_iterations: int = eqx.field(static=True)
@@ -88,7 +90,7 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
         # The unit: positive for a flat picture too, where any step serves.
         tiny = jnp.finfo(image.dtype).tiny ** 0.5
         unit = jnp.maximum(jnp.mean(lengths(fixed.down**2 + fixed.right**2)), tiny)
-        primal, dual = _STEP_OF_VALUE * unit, 1 / (9 * _STEP_OF_VALUE * unit)
+        primal, dual = self.VALUE_STEP * unit, 1 / (9 * self.VALUE_STEP * unit)
 
         def advance(state: SlopeState, _: None) -> tuple[SlopeState, None]:
             slope, ahead = _follow(state, primal)
@@ -120,7 +122,7 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
         **Returns:** the minimiser, and the state to start from next time.
         """
         off, strength = divisible(strength, image.dtype)
-        primal, dual = _STEP * strength, 1 / (_NORM_SQUARED * _STEP * strength)
+        primal, dual = self.STEP * strength, 1 / (_NORM_SQUARED * self.STEP * strength)
 
         def best(edges: Dual) -> Array:
             """X where the edges' dual variable is given."""
@@ -129,7 +131,7 @@ class TotalGeneralizedVariation(Prior[SlopeState]):
         def advance(carry: tuple[Array, SlopeState], _: None) -> tuple[tuple[Array, SlopeState], None]:
             picture, state = carry
             # Its proximal step with respect to ½‖X − f‖²/λ.
-            moved = (picture + _STEP * best(state.edges)) / (1 + _STEP)
+            moved = (picture + self.STEP * best(state.edges)) / (1 + self.STEP)
             slope, ahead = _follow(state, primal)
             edges, bends = self._ascend(state, gradient(2 * moved - picture), ahead, dual)
             return (moved, SlopeState(slope, edges, bends)), None

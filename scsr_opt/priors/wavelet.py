@@ -22,9 +22,9 @@ class WaveletL1(Analysis[Array]):
     levels, that is 0.5 dB worse at its best λ (the coarse levels then flatten what the fine ones need not touch).
     Against `TotalVariation` it has a term for checkered differences, and no preferred corner.
 
-    The picture goes on past its borders as its mirror image, so that a border is not an edge. Of what then repeats one
-    copy counts, and half of what lies on an axis. K X holds it by its square roots, so that K with the last means is
-    exactly Parseval (‖K X‖² + ‖means‖² = ‖X‖²) and ‖K‖ ≤ 1. Bands have one row and one column more than the picture.
+    The picture is continued past its borders by its mirror image, so that a border is not an edge. Of what then repeats
+    one copy counts, and half of what lies on an axis. K X holds it by its square roots, so that K with the last means
+    is exactly Parseval (‖K X‖² + ‖means‖² = ‖X‖²) and ‖K‖ ≤ 1. Bands have one row and one column more than the picture.
 
     The proximal step is inexact, by dual steps (`Analysis`); the dual variable is 3·levels pictures.
 

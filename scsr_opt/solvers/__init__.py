@@ -14,12 +14,13 @@ from scsr_opt.solvers.default import default_solver
 from scsr_opt.solvers.implicit import implicit_minimiser
 from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
-from scsr_opt.solvers.loop import Outcome, Record, Solver, run
+from scsr_opt.solvers.loop import Outcome, run
 from scsr_opt.solvers.primal_dual import ChambollePock, CondatVu
 from scsr_opt.solvers.problem import Problem, lipschitz_bound, with_bound
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
 from scsr_opt.solvers.quasi_newton import LBFGS, NonlinearCG
 from scsr_opt.solvers.record import Stage, Status, TileIterations
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, Separable, SpectralNorm, StepSize
 from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
 from scsr_opt.solvers.tiles import is_tileable, run_tiles

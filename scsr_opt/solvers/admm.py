@@ -11,14 +11,10 @@ from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import finite
 from scsr_opt.errors import InputError
 from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.splitting import Dual, splitting_of
 from scsr_opt.solvers.stopping import FixedPoint, Stopping
-
-# Residual balancing (Boyd et al., 2011, §3.4.1): ρ changes by this factor where one residual is so many times the
-# other, but not after so many iterations: with ρ fixed from some iteration on the proof of convergence holds.
-_FACTOR, _APART, _BALANCED = 2.0, 10.0, 40
 
 
 class ADMMState(NamedTuple):
@@ -58,6 +54,11 @@ class ADMM(Solver[ADMMState]):
     """
 
     state_type: ClassVar[type] = ADMMState
+    # Residual balancing (Boyd et al., 2011, §3.4.1): ρ changes by the factor where one residual is more than the ratio
+    # times the other, and no more after these iterations: with ρ fixed from then on the proof of convergence holds.
+    BALANCING_FACTOR: ClassVar[float] = 2.0
+    BALANCING_RATIO: ClassVar[float] = 10.0
+    BALANCED_ITERATIONS: ClassVar[int] = 40
 
     iterations: int = 200
     tolerance: float | int = 1e-4
@@ -143,8 +144,9 @@ def _balanced(ρ: Array, state: ADMMState, field: Any, split: Any, pull: Array, 
     primal = primal / jnp.maximum(jnp.maximum(_norm(field), _norm(split)), tiny)
     moved = splitting.adjoint(jax.tree.map(lambda new, old: new - old, split, state.split))
     dual = ρ * jnp.linalg.norm(moved) / jnp.maximum(jnp.linalg.norm(pull), tiny)
-    factor = jnp.where(primal > _APART * dual, _FACTOR, jnp.where(dual > _APART * primal, 1 / _FACTOR, 1.0))
-    return jnp.where(state.done < _BALANCED, ρ * factor.astype(ρ.dtype), ρ)
+    ratio, more = ADMM.BALANCING_RATIO, ADMM.BALANCING_FACTOR
+    factor = jnp.where(primal > ratio * dual, more, jnp.where(dual > ratio * primal, 1 / more, 1.0))
+    return jnp.where(state.done < ADMM.BALANCED_ITERATIONS, ρ * factor.astype(ρ.dtype), ρ)
 
 
 def _norm(field: Any) -> Float[Array, ""]:

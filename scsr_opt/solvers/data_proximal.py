@@ -1,5 +1,7 @@
 """Forward–backward splitting with the roles of Eq. 5 exchanged, for scenes in which nothing moves."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -7,21 +9,18 @@ from jaxtyping import Array, Float
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Record
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.proximal_gradient import ProximalGradient, ProximalGradientState, momentum
+from scsr_opt.solvers.solver import Record
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
-
-# λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
-_FLATTEST = 1e-3
 
 
 class DataProximal(ProximalGradient):
     """X ← argmin over X of ½‖X − R‖² + τ f(X), R = X − τλ∇Ψ(X): Eq. 5 with its roles exchanged, with the momentum of
     `FISTA`, which begins anew whenever the objective rose.
 
-    Where nothing moves and the lens is perfect, what a sensor pixel gathered says something of its own s×s block of
-    the picture and of no other. The proximal step of the data then adds a number to each block (`DataTerm.prox`), for
+    Where nothing moves and the lens is perfect, the light of a sensor pixel depends on its own s×s block of the picture
+    and on no other. The proximal step of the data then adds a number to each block (`DataTerm.prox`), for
     any τ, and what is left to iterate for is the shape within blocks, which the prior alone decides. A smooth one needs
     no proximal step, and none of the dual steps that one is made of: λτ is one over the Lipschitz constant of ∇Ψ.
     (Gradient steps on the regulariser and proximal ones on the data: Hurault, Leclaire, Papadakis, 2022, "Gradient step
@@ -35,8 +34,11 @@ class DataProximal(ProximalGradient):
     **Fields:** `iterations`, `tolerance`: as of every `Solver`.
 
     **Errors:** `InputError`, when a run begins, for a prior that is not smooth and convex (`Prior.lipschitz`), or for
-    data that are not `DataTerm.apart`.
+    data that are not `DataTerm.block_diagonal`.
     """
+
+    # λ·(Lipschitz constant of ∇Ψ) counts as no less than this times L: without a prior it then takes a few steps.
+    LEAST_STEEPNESS: ClassVar[float] = 1e-3
 
     iterations: int = 200
     tolerance: float | int = 1e-4
@@ -52,14 +54,14 @@ class DataProximal(ProximalGradient):
             )
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> ProximalGradientState:
-        if not problem.data.apart:
+        if not problem.data.block_diagonal:
             raise InputError(
                 "DataProximal was given data whose pixels overlap, as where something moves, a lens blurs or the "
                 "sensor grid is not used (Shortcuts); it is for scenes at rest: take FISTA, which serves all."
             )
         assert problem.prior.lipschitz is not None  # `check` saw to it
         steepest = problem.strength * problem.prior.lipschitz
-        step_size = 1 / jnp.maximum(steepest, _FLATTEST * lipschitz_bound(problem.data))
+        step_size = 1 / jnp.maximum(steepest, self.LEAST_STEEPNESS * lipschitz_bound(problem.data))
         return self._first(problem, image, gradient=image, step_size=step_size)  # that of f is not looked at
 
     @compiled

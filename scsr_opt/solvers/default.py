@@ -2,25 +2,22 @@
 
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.data_proximal import DataProximal
-from scsr_opt.solvers.loop import Solver
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.quasi_newton import LBFGS
-
-# The largest λ·(Lipschitz constant of ∇Ψ)/L with which `DataProximal` ends before `FISTA` does: that was slower up to 5
-# and as fast at 6.5. The more the prior asks for, the more iterations it takes (docs/measurements.md).
-_STEEPEST = 5.0
+from scsr_opt.solvers.solver import Solver
 
 
-def default_solver(prior: Prior, *, strength: float, scale: int, apart: bool) -> Solver:
-    """`DataProximal` where the data are `apart` (`DataTerm.apart`) and that is the faster one, `FISTA` elsewhere.
+def default_solver(prior: Prior, *, strength: float, scale: int, block_diagonal: bool, steepest: float = 5.0) -> Solver:
+    """`LBFGS` for a smooth prior without a proximal step; `DataProximal` where the data are
+    `DataTerm.block_diagonal` and that is the faster one; `FISTA` elsewhere.
 
-    `LBFGS` for a smooth prior without a proximal step.
-
-    Weights are scaled so that M ≤ 1 (`Problem`), and then L is at most 1/s².
+    `DataProximal` takes the more iterations the more the prior asks for: it is taken where λ·(Lipschitz constant of
+    ∇Ψ)/L is at most `steepest`; it was the faster one up to 5, and as fast as `FISTA` at 6.5. Weights are scaled so
+    that M ≤ 1 (`Problem`), and then L is at most 1/s².
     """
     if not prior.has_prox:
         return LBFGS()
     lipschitz = prior.lipschitz
-    if apart and lipschitz is not None and strength * lipschitz * scale**2 <= _STEEPEST:
+    if block_diagonal and lipschitz is not None and strength * lipschitz * scale**2 <= steepest:
         return DataProximal()
     return FISTA()

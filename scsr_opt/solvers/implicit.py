@@ -1,4 +1,4 @@
-"""How the solution changes with the strength and the samples: derivatives of the minimiser, not of the iterations."""
+"""Derivatives of the minimiser by the strength and the samples: of the minimiser itself, not of the iterations."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,8 +16,8 @@ from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.splitting import AnalysisSplitting, Dual
 
-# How far a step is taken beyond its end: both equations keep their solution, and converge (Condat, 2013).
-_OVER = 1.4
+# Length of a step, in lengths of the plain one: both equations keep their solution, and converge (Condat, 2013).
+_RELAXATION = 1.4
 
 _Pair = tuple[Float[Array, "H W"], Any]
 
@@ -98,7 +98,7 @@ def _solution(numbers: Any, fixed: Any, iterations: int, adjoint_iterations: int
 
 def _repeated(step: Callable[[_Pair], _Pair], pair: _Pair, times: int) -> _Pair:
     def relaxed(_: Array, pair: _Pair) -> _Pair:
-        return jax.tree.map(lambda new, old: old + _OVER * (new - old), step(pair), pair)
+        return jax.tree.map(lambda new, old: old + _RELAXATION * (new - old), step(pair), pair)
 
     return jax.lax.fori_loop(0, times, relaxed, pair)
 

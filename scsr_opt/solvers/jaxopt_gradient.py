@@ -25,8 +25,8 @@ from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import iteration_count
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
 
 

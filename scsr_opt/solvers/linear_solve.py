@@ -1,4 +1,4 @@
-"""How the linear systems inside splitting methods are solved: N δ = g, N symmetric and positive."""
+"""Solvers of the linear systems inside splitting methods: N δ = g, N symmetric and positive."""
 
 import abc
 import warnings
@@ -29,7 +29,7 @@ class ConjugateGradients(LinearSolve):
     """A fixed number of steps of conjugate gradients (Hestenes and Stiefel, 1952), unrolled.
 
     As δ is the change of a picture from one outer iteration to the next, the start is warm and few steps do. There is
-    no preconditioner: docs/measurements.md says why.
+    no preconditioner (docs/measurements.md has the figures).
     """
 
     steps: int = 3

@@ -1,10 +1,9 @@
 """The loop that all native solvers share: jitted chunks of iterations, a record of each, early stop, progress."""
 
-import abc
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,108 +12,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt._kernels.programs import ready
-from scsr_opt._validation import checked_tolerance, iteration_count
 from scsr_opt.errors import InputError
-from scsr_opt.priors.prior import Prior
 from scsr_opt.progress import Progress, check_progress
-from scsr_opt.solvers.linear_solve import LinearSolve
-from scsr_opt.solvers.problem import Problem, with_bound
+from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Stage, Status, TileIterations
-from scsr_opt.solvers.step_size import Balance, StepSize
-from scsr_opt.solvers.stopping import Stopping
-
-State = TypeVar("State")
+from scsr_opt.solvers.solver import Record, Solver, State
 
 # Iterations between two looks from outside. At 20 the loop loses 5 % to being interrupted.
-CHUNK = 20
+CHUNK_ITERATIONS = 20
 # And between two corrections of the problem, each of which costs about as much as they do.
-CORRECTED_AFTER = 4
-
-
-class Record(NamedTuple):
-    """The numbers of a `Stage`, as arrays; `scsr_opt.solvers.stopping.UNMEASURED` where a gap is not measured."""
-
-    data: Float[Array, "..."]
-    prior: Float[Array, "..."]
-    residual: Float[Array, "..."]
-    gap: Float[Array, "..."]
-    step_size: Float[Array, "..."]
-
-
-# What a solver may be made of, and an example of each.
-_PARTS: dict[str, tuple[type, str]] = {
-    "stopping": (Stopping, "FixedPoint()"), "step_size": (StepSize, "Separable() or Fixed(value)"),
-    "balance": (Balance, "Balance(ratio)"), "linear_solve": (LinearSolve, "ConjugateGradients()"),
-}  # fmt: skip
-
-
-class Solver(eqx.Module, Generic[State]):
-    """A method for `Problem`. It is a value; what changes from iteration to iteration is in its state.
-
-    **Fields:**
-    - `iterations`: the most that are done.
-    - `stopping`: what is measured: `FixedPoint`, the relative residual ‖X − G(X)‖ / ‖X‖, G one proximal-gradient step
-      (or a bound on it), or `DualityGap`.
-    - `tolerance`: it ends when this is not above it.
-    - `state_type`: the type of its states; `uses_prox`: whether it takes proximal steps of the prior.
-    """
-
-    state_type: eqx.AbstractClassVar[type]
-    uses_prox: ClassVar[bool] = True
-    iterations: eqx.AbstractVar[int]
-    tolerance: eqx.AbstractVar[float | int]
-    stopping: eqx.AbstractVar[Stopping]
-
-    def __check_init__(self):
-        name = type(self).__name__
-        iteration_count(name, self.iterations, "iterations")
-        for part, (kind, example) in _PARTS.items():
-            given = getattr(self, part, None)
-            if given is not None and not isinstance(given, kind):
-                raise InputError(f"{name} was given {part}={given!r}; it must be a {kind.__name__}, such as {example}.")
-        checked_tolerance(name, self.tolerance)
-
-    def check(self, prior: Prior) -> None:
-        """Raises `InputError` for a prior that it cannot use."""
-        if self.uses_prox and not prior.has_prox:
-            raise InputError(
-                f"{type(self).__name__} was given {type(prior).__name__}, which has no proximal step; use LBFGS or "
-                f"NonlinearCG, or define {type(prior).__name__}.prox."
-            )
-        self.stopping.check(prior)
-
-    def prepared(self, problem: Problem) -> Problem:
-        """The problem with what each solve with the same M would have to find out anew."""
-        return eqx.tree_at(lambda p: p.data, problem, with_bound(problem.data))
-
-    @abc.abstractmethod
-    def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:
-        """The state before the first iteration, from a first picture."""
-
-    def warm(self, problem: Problem, state: State) -> State:
-        """The state before the first iteration, from that of a run on a similar problem."""
-        return self.init(problem, self.image(state))
-
-    def retargeted(self, problem: Problem, before: Problem, state: State) -> State:
-        """The state to go on from where c and e have become those of `problem`, and nothing else has changed since
-        `before`, the problem of the last iteration."""
-        return self.warm(problem, state)
-
-    def kept(self, state: State) -> State:
-        """A state that `warm` makes the same of, with the picture in the place of all that it does not look at."""
-        return state
-
-    @abc.abstractmethod
-    def step(self, problem: Problem, state: State) -> tuple[State, Record]:
-        """One iteration."""
-
-    @abc.abstractmethod
-    def image(self, state: State) -> Float[Array, "H W"]:
-        """X^(t)."""
-
-    @abc.abstractmethod
-    def gradient_step(self, problem: Problem, state: State) -> Float[Array, "H W"]:
-        """R^(t) of Eq. 5: the picture whose proximal step X^(t) is, or tends to be where the two are found together."""
+CORRECTION_ITERATIONS = 4
 
 
 # Of a picture and a tolerance: a problem with other c and e, or None where the one so far is good enough for both.
@@ -122,7 +29,7 @@ Correction = Callable[[Float[Array, "H W"], float], Problem | None]
 
 
 class Outcome(NamedTuple):
-    """What a solve gives back; `tiles`, their iterations where tiles were looked at one by one (`run_tiles`)."""
+    """Result of a solve; `tiles`, iterations of single tiles, where there were any (`run_tiles`)."""
 
     image: Float[np.ndarray, "H W"]
     stages: tuple[Stage, ...]
@@ -143,15 +50,15 @@ def run(
     keep_images: bool = False,
     tolerance: float | int | None = None,
 ) -> Outcome:
-    """Runs `solver` on `problem` from `image`, or goes on from `state`, or begins with that of a `similar` problem.
+    """Runs `solver` on `problem` from `image`, from `state`, or from the state of a `similar` problem.
 
     **Arguments:**
     - `image`: (H, W), X^(0); `problem.start` if None.
     - `state`: `Outcome.state` (`Solution.state`) of a run of the same solver on the same problem: what follows is what
       would have followed there. `similar`: that of a run on a problem with other data, strength, or limits.
-    - `correction`: makes another problem of the picture after every `CORRECTED_AFTER` iterations, and where the
+    - `correction`: makes another problem of the picture after every `CORRECTION_ITERATIONS` iterations, and where the
       tolerance is met; only where it makes none the run ends there.
-    - `progress`: is told of the iterations, by chunks.
+    - `progress`: receives the number of iterations done, by chunks.
     - `keep_images`: every stage keeps R^(t) and X^(t); each iteration is a chunk of its own.
     - `tolerance`: stands in for the solver's own.
 
@@ -168,14 +75,14 @@ def run(
         raise InputError("run was given no picture, nor a problem with one (Problem.start); give X^(0).")
     iterations, enough = solver.iterations, np.float32(solver.tolerance if tolerance is None else tolerance)
     solver.check(problem.prior)
-    # The limits are handed over apart, so that other limits compile nothing anew.
+    # The limits are arguments of their own, so that other limits compile nothing anew.
     solver = dataclasses.replace(solver, iterations=1, tolerance=0.0)
     if state is not None:
         _check_state(solver, problem, state)
     elif similar is not None:
         _check_state(solver, problem, similar)
         state = _warm(solver, problem, similar)
-    between = CHUNK if correction is None else CORRECTED_AFTER
+    between = CHUNK_ITERATIONS if correction is None else CORRECTION_ITERATIONS
     chunk = 1 if keep_images else between
 
     def advanced(before: Any, most: int) -> tuple[Any, ...]:
@@ -194,7 +101,7 @@ def run(
             table, done, finite, met = jax.device_get(seen)
             seconds = time.perf_counter() - begin
             if not finite:
-                if done == 1 and not stages:  # there is no picture before but the one that was handed in
+                if done == 1 and not stages:  # there is no picture before but the first one
                     _check_finite(solver, image if before is None else solver.image(before))
                 # Rather than that every iteration keeps the one before it: the same way once more, but for its last.
                 state = advanced(before, int(done) - 1)[0]

@@ -10,8 +10,8 @@ from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import finite
 from scsr_opt.errors import InputError
 from scsr_opt.solvers.linear_solve import ConjugateGradients, LinearSolve
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.splitting import Dual, splitting_of
 from scsr_opt.solvers.step_size import Balance
 from scsr_opt.solvers.stopping import FixedPoint, Stopping
@@ -42,7 +42,7 @@ class _PrimalDual(Solver[PrimalDualState]):
     @property
     @abc.abstractmethod
     def _over(self) -> float | int:
-        """How far beyond its end a step is taken, as a multiple of its length."""
+        """Over-relaxation: the length of the step that is taken, in lengths of the step."""
 
     @abc.abstractmethod
     def _primal(self, lipschitz: Array) -> Float[Array, ""]:
@@ -50,7 +50,7 @@ class _PrimalDual(Solver[PrimalDualState]):
 
     @abc.abstractmethod
     def _move(self, problem: Problem, slope: Array, τ: Array) -> Float[Array, "H W"]:
-        """How the picture changes where ∇f(X) + λK*p is `slope`."""
+        """The change of the picture where ∇f(X) + λK*p is `slope`."""
 
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> PrimalDualState:
         return self._begin(problem, image, splitting_of(problem.prior).initial(image))

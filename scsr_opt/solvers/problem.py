@@ -25,7 +25,7 @@ class Problem(eqx.Module):
     start: Float[Array, "H W"] | None = None
 
     def change_of_gradient(self, before: "Problem") -> Float[Array, "H W"]:
-        """By how much ∇f is another than that of `before`, where only c and e are: the same at every picture."""
+        """∇f less that of `before`, where only c and e differ, (H, W); it is the same at every picture."""
         return self.data.blurred_adjoint(before.data.target - self.data.target)
 
 

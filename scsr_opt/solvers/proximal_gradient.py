@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt._kernels.programs import compiled
 from scsr_opt.priors.analysis import Analysis
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.step_size import NormBound, Separable, StepSize
 from scsr_opt.solvers.stopping import Evidence, FixedPoint, Stopping, misfit, relative
 
@@ -43,7 +43,7 @@ class _Step(NamedTuple):
 
 class ProximalGradient(Solver[ProximalGradientState]):
     """Gradient steps on one of f and λΨ and proximal ones on the other: what such methods have in common. Their states
-    are alike, so that each goes on from another's: a scene may come to rest."""
+    are alike, so that each can start from another's: a scene may come to rest."""
 
     state_type: ClassVar[type] = ProximalGradientState
 
@@ -57,8 +57,10 @@ class ProximalGradient(Solver[ProximalGradientState]):
         return self.init(problem, state.image)._replace(prior=state.prior)
 
     def retargeted(self, problem: Problem, before: Problem, state: ProximalGradientState) -> ProximalGradientState:
-        # The momentum goes on: begun anew every few iterations it would never come to anything.
-        return state._replace(objective=jnp.full_like(state.objective, jnp.inf))  # that of another problem says nothing
+        # The momentum is kept: begun anew every few iterations it would never build up.
+        return state._replace(
+            objective=jnp.full_like(state.objective, jnp.inf)
+        )  # that of another problem is not comparable
 
     def kept(self, state: ProximalGradientState) -> ProximalGradientState:
         image = state.image
@@ -221,8 +223,8 @@ class FISTA(_PriorProximal):
 def momentum(
     t: Float[Array, ""], worse: Bool[Array, ""], *, optimised: bool = True
 ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """What `FISTA` goes ahead by: the next t, and the factors of the change from picture to picture and of the last
-    step. `worse`: whether it begins anew."""
+    """Momentum of `FISTA`: the next t, and the factors of the change from picture to picture and of the last step.
+    `worse`: whether it begins anew."""
     t = jnp.where(worse, 1, t)
     following = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
     beyond = jnp.where(worse, 0, t / following) if optimised else jnp.zeros_like(t)

@@ -1,4 +1,4 @@
-"""Nonlinear conjugate gradients and L-BFGS of optimistix, behind the same face as the other solvers, for priors that
+"""Nonlinear conjugate gradients and L-BFGS of optimistix, as `Solver`s, for priors that
 have a gradient.
 
 Their line search compares values of F, and can tell two pictures apart as long as these differ by more than rounding.
@@ -25,15 +25,9 @@ from scsr_opt._validation import iteration_count
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.priors.prior import Prior
-from scsr_opt.solvers.loop import Record, Solver
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.stopping import UNMEASURED, FixedPoint, Stopping, relative
-
-# How much F may rise and still count as lower, in ε|F|: it is a sum of many numbers, and differs so much by rounding.
-_SLACK = 5
-# How much longer a step of nonlinear conjugate gradients is tried after one that was accepted (of 1.5, 2 and 3 the
-# first needed the fewest iterations).
-_GROWTH = 1.5
 
 
 class SmoothState(NamedTuple):
@@ -66,17 +60,18 @@ class _Objective(eqx.Module):
 
 
 class _Search(optx.BacktrackingArmijo):
-    """Armijo's rule, but for rounding (`_SLACK`): where F no longer tells two pictures apart, a method goes on by its
-    gradient, which knows more digits.
+    """Armijo's rule, but for rounding: where F no longer tells two pictures apart, a method follows its gradient,
+    which has more digits.
 
     **Fields:** `growth`: where a step is tried first, in lengths of the last that was accepted; None for the method's
-    own step.
+    own step. `slack`: by how much F may rise and still count as lower, in ε|F|: it is a sum of many numbers.
     """
 
     growth: float | None = None
+    slack: int = 5
 
     def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        slack = _SLACK * jnp.finfo(y.dtype).eps * jnp.abs(f_info.as_min())
+        slack = self.slack * jnp.finfo(y.dtype).eps * jnp.abs(f_info.as_min())
         lower = eqx.tree_at(lambda info: info.f, f_eval_info, f_eval_info.as_min() - slack)
         length, accept, result, following = super().step(first_step, y, y_eval, f_info, lower, state)
         if self.growth is not None:
@@ -87,6 +82,8 @@ class _Search(optx.BacktrackingArmijo):
 
 
 class Smooth(Solver[SmoothState]):
+    """A minimiser of optimistix as a `Solver`, for smooth priors."""
+
     state_type: ClassVar[type] = SmoothState
     uses_prox: ClassVar[bool] = False
 
@@ -194,7 +191,8 @@ class NonlinearCG(Smooth):
     tolerance: float | int = 3e-4
 
     def _method(self) -> Any:
-        return optx.NonlinearCG(rtol=0.0, atol=0.0, search=_Search(growth=_GROWTH))
+        # Of 1.5, 2 and 3 the first needed the fewest iterations.
+        return optx.NonlinearCG(rtol=0.0, atol=0.0, search=_Search(growth=1.5))
 
 
 class LBFGS(Smooth):

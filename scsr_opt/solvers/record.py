@@ -1,4 +1,4 @@
-"""What every solver and every unrolled network records: how it ended, and one `Stage` per iteration."""
+"""Records of solvers and unrolled networks: `Status`, how a solve ended, and one `Stage` for each iteration."""
 
 import enum
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 
 class Status(enum.Enum):
-    """How a solve ended; the value is the message to show."""
+    """End of a solve; the value is the message to show."""
 
     converged = "The picture meets the tolerance."
     iterations_exhausted = (
@@ -39,7 +39,7 @@ class Status(enum.Enum):
 
     @property
     def usable(self) -> bool:
-        """Whether the picture may be used."""
+        """True where the picture may be used."""
         return self not in (Status.non_finite, Status.no_samples)
 
 
@@ -75,7 +75,7 @@ class Stage:
 
     @classmethod
     def of(cls, number: int, record: Iterable[SupportsFloat], seconds: float, **pictures: Any) -> "Stage":
-        """Of the numbers of a `scsr_opt.solvers.Record`."""
+        """The stage with the numbers of a `scsr_opt.solvers.Record`."""
         data, prior, residual, gap, step_size = map(float, record)
         gap = float("nan") if gap < 0 else gap  # `scsr_opt.solvers.stopping.UNMEASURED`
         return cls(number, data + prior, data, prior, residual, step_size, seconds, **pictures, gap=gap)

@@ -1,7 +1,7 @@
-"""How splitting methods see a prior: Ψ(X) = φ(K X) with a dual variable p.
+"""Priors as splitting methods use them: Ψ(X) = φ(K X) with a dual variable p.
 
 An `Analysis` prior brings its own K. Any other is taken with K = identity and φ = Ψ, whose proximal step is the prior's
-own. The dual step is the same for all methods (Moreau's identity): with a field w = v + (λ/σ)p,
+own. The dual step is that of all methods (Moreau's identity): with a field w = v + (λ/σ)p,
 
     p ← argmin over q of ½‖q − (σ/λ)w‖² + (σ/λ)φ*(q),       z = w − (λ/σ)p = argmin of ½‖z − w‖² + (λ/σ)φ(z).
 
@@ -71,7 +71,7 @@ class Splitting(eqx.Module):
 
 
 class AnalysisSplitting(Splitting):
-    """By the prior's own K."""
+    """Splitting by the prior's own K."""
 
     prior: Analysis
 
@@ -101,7 +101,7 @@ class AnalysisSplitting(Splitting):
 
 
 class ProximalSplitting(Splitting):
-    """By K = identity and the prior's proximal step."""
+    """Splitting by K = identity and the prior's proximal step."""
 
     prior: Prior
 
@@ -131,7 +131,7 @@ class ProximalSplitting(Splitting):
 
 
 def splitting_of(prior: Prior) -> Splitting:
-    """By K where the prior is an `Analysis`, otherwise by its proximal step."""
+    """`AnalysisSplitting` where the prior is an `Analysis`, otherwise `ProximalSplitting`."""
     return AnalysisSplitting(prior) if isinstance(prior, Analysis) else ProximalSplitting(prior)
 
 

@@ -15,7 +15,7 @@ from scsr_opt.solvers.problem import Problem, lipschitz_bound
 
 
 class StepSize(eqx.Module):
-    """How β of X ← prox(X − β∇f(X)) is chosen. With L = ‖BᵀMB‖, every β ≤ 1/L makes the objective fall; where each
+    """A rule for β of X ← prox(X − β∇f(X)). With L = ‖BᵀMB‖, every β ≤ 1/L makes the objective fall; where each
     pixel has its own, every β with BᵀMB ≤ diag(1/β)."""
 
     @abc.abstractmethod
@@ -23,7 +23,7 @@ class StepSize(eqx.Module):
         """β of the first iteration: one for all pixels, or one for each."""
 
     def needs_bound(self, problem: Problem) -> bool:
-        """Whether it asks for `lipschitz_bound`, which is then worth keeping from solve to solve (`with_bound`)."""
+        """True where it needs `lipschitz_bound`, which is then worth keeping from solve to solve (`with_bound`)."""
         return False
 
     def trial(self, step_size: Float[Array, "*pixels"]) -> Float[Array, "*pixels"]:
@@ -129,7 +129,7 @@ class Backtracking(StepSize):
     """β as long as the step allows (Beck and Teboulle, 2009; that it may grow again, too, is from Scheinberg, Goldfarb
     and Bai, 2014, "Fast first-order methods for composite convex optimization with backtracking").
 
-    A step d is sufficient if f(A + d) ≤ f(A) + ⟨∇f(A), d⟩ + ‖d‖²/(2β). f is a quadratic, so this says that the
+    A step d is sufficient if f(A + d) ≤ f(A) + ⟨∇f(A), d⟩ + ‖d‖²/(2β). f is a quadratic, so this means that the
     curvature along d is at most 1/β, and it follows from two gradients that are known. A step that fails is made again
     with β `shrink` times as long, and the next iteration tries `growth` times the β of the last. Where few directions
     are as steep as L, steps are longer than 1/L; where most are, the repeated proximal steps make it slower.

@@ -1,4 +1,4 @@
-"""When a solve has come far enough: what is measured of a picture's optimality, and what the tolerance is held against.
+"""Stopping rules: measures of a picture's optimality that are compared with the tolerance.
 
 Let X be a picture, p a field with φ*(p) finite (a dual variable, for λΨ it is λp), and
 
@@ -35,8 +35,8 @@ UNMEASURED = -1.0
 
 
 class Evidence(NamedTuple):
-    """What an iteration knows of its picture: `image` X, `objective` F(X), `slope` r, `misfit` g (None where the prior
-    has no known conjugate) and `residual`, ‖X − G(X)‖ / ‖X‖ or a bound on it."""
+    """Quantities that an iteration knows of its picture: `image` X, `objective` F(X), `slope` r, `misfit` g (None where
+    the prior has no known conjugate) and `residual`, ‖X − G(X)‖ / ‖X‖ or a bound on it."""
 
     image: Float[Array, "H W"]
     objective: Float[Array, ""]
@@ -46,7 +46,7 @@ class Evidence(NamedTuple):
 
 
 class Stopping(eqx.Module):
-    """What a solver's tolerance is compared with."""
+    """A measure of optimality that a solver's tolerance is compared with."""
 
     @abc.abstractmethod
     def check(self, prior: Prior) -> None:
@@ -83,7 +83,7 @@ class DualityGap(Stopping):
     """The duality gap over F(X): by how much the objective is above its minimum at most, relative.
 
     It is certain if a minimiser lies between `lower` and `upper`, as intensities do; a wider range costs tightness. For
-    `Analysis` priors. While a run goes on it is 10 to 500 times the true gap; in float32 it has come down to 5e-5; to
+    `Analysis` priors. During a run it is 10 to 500 times the true gap; in float32 it has come down to 5e-5; to
     go below, work in float64.
 
     **Fields:** `lower`, `upper`: in the picture's unit, 1 = white.

@@ -1,15 +1,15 @@
-"""An active set: the iteration goes on where a picture is not finished, and leaves alone what is.
+"""An active set: only those tiles of a picture are iterated further that are not finished.
 
 What rests is found in a few iterations, what moves or was hardly seen in many, and the residual of the whole picture is
 a mean of both. So the whole picture, if it has more than a few tiles, is iterated only until that is near the
-tolerance. The slope of F then says of each tile how far from optimal it is: by how much a step along it, as long as
-each pixel allows, changes the tile. Where that is above a limit, F is minimised over the tile's pixels alone, their
+tolerance. How far each tile then is from optimal is measured by the slope of F: by how much a step along it, as long
+as each pixel allows, changes the tile. Where that is above a limit, F is minimised over the tile's pixels alone, their
 surroundings held, by the same solver: in a window that reaches as far as a pixel's gradient does, with steps of length
 0 outside the tile. No two tiles that touch are solved for at once (they have four colours), so that F falls with each,
 as in any descent by blocks of coordinates.
 
-Then the whole picture is looked at again, and what a neighbour's change woke is gone on with. A solve ends with an
-iteration of the WHOLE picture, whose residual meets the tolerance, and that of no tile is above its limit.
+Then the whole picture is looked at again, and tiles that a neighbour's change moved are iterated, too. A solve ends
+with an iteration of the WHOLE picture, whose residual meets the tolerance, and that of no tile is above its limit.
 """
 
 import dataclasses
@@ -27,27 +27,18 @@ from scipy.ndimage import maximum_filter
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.progress import NoProgress, Progress, check_progress
-from scsr_opt.solvers.loop import CORRECTED_AFTER, Correction, Outcome, Record, Solver, run
+from scsr_opt.solvers.loop import CORRECTION_ITERATIONS, Correction, Outcome, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
 from scsr_opt.solvers.record import Stage, Status, TileIterations
+from scsr_opt.solvers.settings import TileSettings
+from scsr_opt.solvers.solver import Record, Solver
 from scsr_opt.solvers.step_size import Separable
 from scsr_opt.solvers.stopping import FixedPoint
 
-# Side of a tile, sensor pixels. With half of that, as large a part of the windows is border as tile, and more of the
-# tiles wait for each other (docs/measurements.md).
-TILE = 32
-# The whole picture is iterated until its residual is so many tolerances, or so many where it starts from that of a
-# similar problem, which is finished in many places; a tile is gone on with where its own is more than so many, until it
-# is so much of that (docs/measurements.md).
-_WHOLE, _WHOLE_SIMILAR, _LIMIT, _WITHIN = 4.0, 64.0, 10.0, 0.6
-# Windows that are solved for side by side; iterations of a tile at a time, and times that tiles are gone on with, at
-# most. What then is left is left to iterations of the whole picture.
-_BATCH, _MOST, _VISITS = 4, 40, 12
 
-
-def is_tileable(solver: Solver, problem: Problem) -> bool:
-    """Whether a problem can be solved tile by tile: each pixel has its own step size, and is coupled with near ones
+def is_tileable(solver: Solver, problem: Problem, settings: TileSettings = TileSettings()) -> bool:
+    """True where a problem can be solved tile by tile: each pixel has its own step size, and is coupled with near ones
     only."""
     data = problem.data
     if not isinstance(data.aperture, Aperture) or data.optics is not None:
@@ -55,7 +46,9 @@ def is_tileable(solver: Solver, problem: Problem) -> bool:
     if not isinstance(solver, FISTA | ISTA) or not isinstance(solver.step_size, Separable):
         return False
     near = isinstance(problem.prior, Analysis) and problem.prior.separable
-    return near and isinstance(solver.stopping, FixedPoint) and min(data.shape) >= _window(data.aperture.scale)
+    return (
+        near and isinstance(solver.stopping, FixedPoint) and min(data.shape) >= _window(data.aperture.scale, settings)
+    )
 
 
 def run_tiles(
@@ -67,11 +60,15 @@ def run_tiles(
     correction: Correction | None = None,
     progress: Progress | None = None,
     tolerance: float | int | None = None,
-    skip: bool = True,
+    finished_tiles: bool = True,
+    settings: TileSettings = TileSettings(),
 ) -> Outcome:
-    """As `run`, but until each tile is finished, too; for what `is_tileable`. Its arguments, and
+    """Iterations as by `run`, until each tile is finished, too; for problems that are `is_tileable`.
 
-    - `skip`: whether tiles that are finished are left alone. If not, iterations are of the whole picture until all are.
+    **Arguments:** those of `run`, and
+    - `finished_tiles`: whether tiles that are finished are left alone (`Shortcuts`). If not, iterations are of the
+      whole picture until all are.
+    - `settings`: size of the tiles, and when the whole picture is iterated, and when a tile.
 
     Each `Stage` is an iteration of the whole picture. The solver's limit of iterations holds for each tile; where it is
     met, tiles may have changed since the last stage.
@@ -81,14 +78,15 @@ def run_tiles(
         progress.start(solver.iterations, "solving")
     try:
         given: dict[str, Any] = {"similar": similar, "correction": correction, "progress": progress}
-        return _run(solver, problem, image, **given, tolerance=tolerance, skip=skip)
+        given |= {"tolerance": tolerance, "finished_tiles": finished_tiles, "settings": settings}
+        return _run(solver, problem, image, **given)
     finally:
         if progress is not None:
             progress.finish()
 
 
 class _Within(NoProgress):
-    """A part of what others see as one piece of work."""
+    """Progress of a part of the solve, without a start and an end of its own."""
 
     def __init__(self, progress: Progress):
         self._progress = progress
@@ -106,9 +104,10 @@ def _run(
     correction: Correction | None,
     progress: Progress | None,
     tolerance: float | int | None,
-    skip: bool,
+    finished_tiles: bool,
+    settings: TileSettings,
 ) -> Outcome:
-    """`run_tiles`, as a part of what it tells of."""
+    """`run_tiles`, without the start and end of its progress."""
     begun = time.perf_counter()
     # As `run` rounds it, which hands it on to corrections.
     enough = float(np.float32(solver.tolerance if tolerance is None else tolerance))
@@ -126,9 +125,9 @@ def _run(
     def whole(tolerance: float, iterations: int, **begin: Any) -> tuple[Any, Status]:
         """Iterations of the whole picture, with corrections on the way."""
         limited = dataclasses.replace(solver, iterations=iterations)
-        touched, told = None if correction is None else corrected, None if progress is None else _Within(progress)
+        touched, within = None if correction is None else corrected, None if progress is None else _Within(progress)
         since, done = time.perf_counter() - begun, len(stages)
-        outcome = run(limited, current, image, correction=touched, progress=told, tolerance=tolerance, **begin)
+        outcome = run(limited, current, image, correction=touched, progress=within, tolerance=tolerance, **begin)
         for stage in outcome.stages:
             stages.append(dataclasses.replace(stage, number=done + stage.number, seconds=since + stage.seconds))
         return outcome.state, outcome.status
@@ -136,32 +135,35 @@ def _run(
     def left() -> int:
         return solver.iterations - len(stages) - int(alone.max())
 
-    side, stages = _side(problem), list[Stage]()
+    side, stages = _side(problem, settings), list[Stage]()
     alone = np.zeros([-(-length // side) for length in problem.data.shape], int)
-    # The limits are handed over apart, as in `run`: other ones compile nothing anew.
-    steps, limit, worst = dataclasses.replace(solver, iterations=1, tolerance=0.0), _LIMIT * enough, float("nan")
+    # The limits are arguments of their own, as in `run`: other ones compile nothing anew.
+    steps, worst = dataclasses.replace(solver, iterations=1, tolerance=0.0), float("nan")
+    limit = settings.limit_tolerances * enough
     # No tile's residual is above the whole picture's times the root of their number: few tiles would then be finished,
     # or nearly so.
-    loose = skip and _WHOLE * math.sqrt(math.prod(problem.data.shape)) / side > _LIMIT
-    first = (_WHOLE if similar is None else _WHOLE_SIMILAR) if loose else 1
+    above = settings.whole_tolerances * math.sqrt(math.prod(problem.data.shape)) / side > settings.limit_tolerances
+    first = settings.whole_tolerances if similar is None else settings.whole_similar_tolerances
+    first = first if finished_tiles and above else 1
     state, status = whole(first * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False
     while status is Status.converged:
-        gradient, slopes = _slopes(current, state.image, state.prior, state.step_size)
+        gradient, slopes = _slopes(current, state.image, state.prior, state.step_size, side)
         slopes = np.asarray(slopes)
         if not np.isfinite(slopes).all():
             state, status = finite, Status.non_finite
             break
         finite = state = _restarted(state, gradient) if stale else state
         active = slopes > limit
-        # Neighbours that they would soon wake go on with them.
-        active |= (maximum_filter(active, 3) > 0) & (slopes > _WITHIN * limit)
+        # Neighbours that would soon be moved by them are iterated with them.
+        active |= (maximum_filter(active, 3) > 0) & (slopes > settings.finished_share * limit)
         stale = False
         if left() < (2 if active.any() else 1):
             status = Status.iterations_exhausted
             break
-        if active.any() and skip and visits < _VISITS:
-            state, took = _on_tiles(steps, current, state, np.where(active, slopes, 0), limit, min(left() - 1, _MOST))
+        if active.any() and finished_tiles and visits < settings.most_visits:
+            most, steep = min(left() - 1, settings.most_iterations), np.where(active, slopes, 0)
+            state, took = _on_tiles(steps, current, state, steep, limit, most, settings)
             before, alone = int(alone.max()), alone + took
             visits, stale, worst = visits + 1, True, float("nan")
             if progress is not None:
@@ -169,15 +171,15 @@ def _run(
             corrected(state.image, enough)
             continue
         if active.any():
-            state, ended = whole(0.0, min(left(), CORRECTED_AFTER), state=state)
+            state, ended = whole(0.0, min(left(), CORRECTION_ITERATIONS), state=state)
             status = status if ended.usable else ended
             continue
         if corrected(state.image, enough) is not None:
             stale = True
             continue
         residual = math.inf
-        for _ in range(min(left(), CORRECTED_AFTER)):
-            following, *found = _step(steps, current, state)
+        for _ in range(min(left(), CORRECTION_ITERATIONS)):
+            following, *found = _step(steps, current, state, side)
             record, residuals = jax.device_get(found)
             if not np.isfinite(sum(record[:3])):
                 status = Status.non_finite
@@ -210,22 +212,22 @@ def _restarted(state: ProximalGradientState, gradient: Float[Array, "H W"]) -> P
 
 @eqx.filter_jit
 def _slopes(
-    problem: Problem, image: Float[Array, "H W"], dual: Any, step_size: Float[Array, "H W"]
+    problem: Problem, image: Float[Array, "H W"], dual: Any, step_size: Float[Array, "H W"], side: int
 ) -> tuple[Float[Array, "H W"], Float[Array, "rows columns"]]:
     """∇f, and by how much a step along the slope of F, ∇f + λK*p, would change each tile."""
     assert isinstance(problem.prior, Analysis)  # `is_tileable` saw to it
     gradient = problem.data.gradient(image)
     slope = gradient + problem.strength * problem.prior.adjoint(dual)
-    return gradient, by_tile(step_size * slope, image, _side(problem))
+    return gradient, by_tile(step_size * slope, image, side)
 
 
 @eqx.filter_jit
 def _step(
-    solver: Solver, problem: Problem, state: ProximalGradientState
+    solver: Solver, problem: Problem, state: ProximalGradientState, side: int
 ) -> tuple[ProximalGradientState, Record, Float[Array, "rows columns"]]:
     """A step of the whole picture: the state after it, its record, and by how much it changed each tile."""
     after, record = solver.step(problem, state)
-    return after, record, by_tile(after.image - state.ahead, after.image, _side(problem))
+    return after, record, by_tile(after.image - state.ahead, after.image, side)
 
 
 def by_tile(change: Float[Array, "H W"], image: Float[Array, "H W"], side: int) -> Float[Array, "rows columns"]:
@@ -244,21 +246,23 @@ def _on_tiles(
     slopes: Float[np.ndarray, "rows columns"],
     limit: float,
     most: int,
+    settings: TileSettings,
 ) -> tuple[ProximalGradientState, Int[np.ndarray, "rows columns"]]:
     """Iterations of the tiles that have slopes, up to `most` of each: the state, of which picture and dual variables
     are up to date, and how many."""
-    # Steepest first, so that those that go on for as long are in one batch.
+    # Steepest first, so that those that need about the same number of iterations are in one batch.
+    size, enough = settings.batch, settings.finished_share * limit
     order = np.argsort(-slopes, axis=None, kind="stable")[: np.count_nonzero(slopes)]
     tiles = np.stack(np.unravel_index(order, slopes.shape), axis=1)
     colour = tiles[:, 0] % 2 * 2 + tiles[:, 1] % 2
-    # Of one length whatever is active. What a batch is filled up with lies outside the picture, where nothing is done.
-    batches, filled = np.full((-(-slopes.size // _BATCH) + 4, _BATCH, 2), -1, np.int32), 0
+    # Padded to one length, with tiles outside the picture, for which nothing is done.
+    batches, filled = np.full((-(-slopes.size // size) + 4, size, 2), -1, np.int32), 0
     for own in (tiles[colour == number] for number in range(4)):
-        needed = -(-len(own) // _BATCH)
+        needed = -(-len(own) // size)
         batches[filled : filled + needed].reshape(-1, 2)[: len(own)] = own
         filled += needed
     image, prior, took = _batches(
-        solver, problem, state, batches, np.int32(filled), np.float32(_WITHIN * limit), np.int32(most)
+        solver, problem, state, batches, np.int32(filled), np.float32(enough), np.int32(most), settings
     )
     iterations, used = np.zeros(slopes.shape, int), batches[..., 0] >= 0
     iterations[tuple(batches[used].T)] = np.asarray(took)[used]
@@ -274,11 +278,12 @@ def _batches(
     filled: Int[Array | np.int32, ""],
     enough: Float[Array | np.float32, ""],
     most: Int[Array | np.int32, ""],
+    settings: TileSettings,
 ) -> tuple[Float[Array, "H W"], Any, Int[Array, "batches n"]]:
     """Batch after batch, iterations of tiles that do not touch until the residual of each is `enough`: the picture, the
     prior's state, and how many."""
     scale, shape = problem.data.aperture.scale, problem.data.shape
-    side, window = TILE * scale, _window(scale)
+    side, window = settings.side_px * scale, _window(scale, settings)
     level = _level(state.image)
 
     def cut(tree: Any, corner: Int[Array, "2"]) -> Any:
@@ -341,14 +346,14 @@ def _batches(
     return jax.lax.fori_loop(0, filled, batch, begin)
 
 
-def _side(problem: Problem) -> int:
-    """Of a tile, pixels of the picture."""
-    return TILE * problem.data.aperture.scale
+def _side(problem: Problem, settings: TileSettings) -> int:
+    """Side of a tile, pixels of the picture."""
+    return settings.side_px * problem.data.aperture.scale
 
 
-def _window(scale: int) -> int:
-    """Side of a window, pixels: f at a pixel is told by what is less than s + 1 away, as BᵀMB couples no others."""
-    return (TILE + 2) * scale
+def _window(scale: int, settings: TileSettings) -> int:
+    """Side of a window, pixels: f at a pixel depends on pixels less than s + 1 away, as BᵀMB couples no others."""
+    return (settings.side_px + 2) * scale
 
 
 def _level(image: Float[Array, "H W"]) -> Float[Array, ""]:

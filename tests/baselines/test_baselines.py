@@ -20,7 +20,8 @@ from scsr_opt.baselines import (
     tfp_bicubic,
 )
 from scsr_opt.baselines.motion_guided import _splat
-from scsr_opt.baselines.single_image import _SMOOTHING, noise_level
+from scsr_opt.baselines.settings import DEFAULT
+from scsr_opt.baselines.single_image import noise_level
 from scsr_opt.camera import Recording, Sensor, Simulation, Static, Translation, simulate, stp, tfi, tfp
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
@@ -131,7 +132,7 @@ def test_single_image_is_the_minimiser_of_its_problem():
     """The objective is convex: at its minimiser it rises in every direction, be it smoother, sharper or any other."""
     spikes = moving(2).spikes
     playback = tfp(spikes, 30)
-    strength = _SMOOTHING * noise_level(playback)
+    strength = DEFAULT.single_image_noise_factor * noise_level(playback)
 
     def objective(image: np.ndarray) -> float:
         seen = image.reshape(48, 2, 48, 2).mean((1, 3))

@@ -100,16 +100,16 @@ def test_windows_of_a_large_sensor_tell_that_there_is_no_pattern(spread, monkeyp
     made = simulate(Static(picture), scale=1, frames=61, sensor=Sensor(fixed_pattern=spread), seed=3)
     looked_at, looks = [], gain_network._logarithm
 
-    def counted(network, rate, noise, bad):
+    def counted(network, rate, noise, bad, settings):
         looked_at.append(rate.shape)
-        return looks(network, rate, noise, bad)
+        return looks(network, rate, noise, bad, settings)
 
     monkeypatch.setattr(gain_network, "_logarithm", counted)
     found = gain_at_rest(made.spikes, white_rate=0.6)
     windows = [shape for shape in looked_at if shape != picture.shape]
     # Two rows of three windows; where the first one tells enough, the second is not looked at.
     assert windows == [(3, 56, 56)] * (1 + bool(spread)) and (picture.shape in looked_at) == bool(spread)
-    everywhere = gain_at_rest(made.spikes, white_rate=0.6, skip=False)
+    everywhere = gain_at_rest(made.spikes, white_rate=0.6, sampled_gains=False)
     assert looked_at.pop() == picture.shape
     np.testing.assert_array_equal(everywhere, found)
     if not spread:

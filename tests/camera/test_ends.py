@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scsr_opt.camera.samples import ENDS, Samples, spike_intervals
+from scsr_opt.camera.samples import END_WEIGHT, Samples, spike_intervals
 from scsr_opt.camera.scenes import Static
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.errors import InputError
@@ -82,7 +82,7 @@ def test_bright_pixels_are_as_exact_as_without_ends():
         return float(np.sqrt(np.mean((light / weight - level) ** 2)))
 
     # Two ends, a threshold's light ±29 % each at a tenth of the weight, against 0.4 frames' light.
-    assert error(ENDS) < 1.1 * error(0)
+    assert error(END_WEIGHT) < 1.1 * error(0)
     assert error(1.0) > 1.5 * error(0)
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
-from scsr_opt.camera.samples import RUN, Samples, mean_light, spike_intervals, windows
+from scsr_opt.camera.samples import RUN_FRAMES, Samples, mean_light, spike_intervals, windows
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.errors import InputError
 
@@ -67,7 +67,7 @@ def test_runs_are_as_long_as_each_pixel_asks_for(spikes, data):
 @given(spikes=recordings, data=st.data())
 def test_runs_may_differ_from_block_to_block_of_frames(spikes, data):
     blocks = data.draw(st.integers(1, 11))
-    run = data.draw(arrays(np.int32, (blocks, *spikes.shape[1:]), elements=st.integers(1, RUN)))
+    run = data.draw(arrays(np.int32, (blocks, *spikes.shape[1:]), elements=st.integers(1, RUN_FRAMES)))
     found = spike_intervals(spikes, white_rate=RATE, run=run, ends=0)
     np.testing.assert_allclose(rows(found), expected(spikes, np.ones(spikes.shape[1:], int), 0, run), 1e-6)
 

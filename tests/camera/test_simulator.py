@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
-from scsr_opt.camera.simulator import DARK_ELECTRONS, Sensor, simulate
+from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.camera.video import Video
 from scsr_opt.errors import InputError
 
@@ -68,7 +68,7 @@ def test_dark_charge_has_its_mean_and_its_noise(photons, rate):
     frames, dark = 1500, 0.3
     sensor = Sensor(dark_rate=dark, photons=photons, white_rate=rate)
     counts = simulate(constant(0.0), scale=1, frames=frames, sensor=sensor).spikes.sum(0)
-    variance = rate**2 * frames * dark / min(photons, DARK_ELECTRONS) + 1 / 6
+    variance = rate**2 * frames * dark / min(photons, Sensor.DARK_ELECTRONS) + 1 / 6
     assert counts.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / counts.size))
     assert counts.mean() == pytest.approx(rate * frames * dark, abs=5 * np.sqrt(variance / counts.size))
     assert not simulate(constant(0.0), scale=1, frames=200).spikes.any()
@@ -221,17 +221,17 @@ def test_progress_is_told_of_every_frame_and_of_the_end_even_when_it_fails():
     [
         ({"white_rate": 0.0}, "white_rate is 0.0, but it must be a number from 1e-06"),
         ({"white_rate": np.inf}, "white_rate is inf"),
-        ({"photons": -1.0}, "photons is -1.0, but it must be a number from 1e-06"),
+        ({"photons": -1.0}, "photons is -1.0; it must be a finite number from 1e-06"),
         ({"photons": np.nan}, "photons is nan"),
-        ({"dark_rate": -0.1}, "dark_rate is -0.1, but it must be a number from 0 to 1e\\+06"),
-        ({"fixed_pattern": 1.0}, "fixed_pattern is 1.0, but it must be a number from 0 to below 1"),
-        ({"dead": 1.5}, "dead is 1.5, but it must be a number from 0 to 1, a fraction"),
-        ({"hot": -0.5}, "hot is -0.5, but it must be a number from 0 to 1, a fraction"),
+        ({"dark_rate": -0.1}, "dark_rate is -0.1; it must be a finite number from 0 to 1e\\+06"),
+        ({"fixed_pattern": 1.0}, "fixed_pattern is 1.0; it must be a finite number from 0 to below 1"),
+        ({"dead": 1.5}, "dead is 1.5; it must be a finite number from 0 to 1, a share"),
+        ({"hot": -0.5}, "hot is -0.5; it must be a finite number from 0 to 1, a share"),
         ({"dead": 0.6, "hot": 0.6}, "dead = 0.6 and hot = 0.6 are more than all pixels"),
-        ({"photons": 1e300}, r"photons is 1e\+300, but it must be a number from 1e-06 to 1e\+12"),
+        ({"photons": 1e300}, r"photons is 1e\+300; it must be a finite number from 1e-06 to 1e\+12"),
         ({"dark_rate": 1e300}, r"dark_rate is 1e\+300"),
         ({"white_rate": 1e-40}, "white_rate is 1e-40"),
-        ({"psf_sigma": -1.0}, "psf_sigma is -1.0, but it must be a number 0 or more, in HR pixels"),
+        ({"psf_sigma": -1.0}, "psf_sigma is -1.0; it must be a finite number of at least 0, in HR pixels"),
     ],
 )
 def test_a_sensor_that_cannot_be_is_refused(arguments, message):
@@ -242,9 +242,9 @@ def test_a_sensor_that_cannot_be_is_refused(arguments, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scale": 0}, "scale is 0, but it must be a whole number of at least 1"),
-        ({"scale": 1, "frames": 0}, "frames is 0, but it must be a whole number of at least 1"),
-        ({"scale": 1, "seed": -1}, "seed is -1, but it must be a whole number of at least 0"),
+        ({"scale": 0}, "scale is 0; it must be a whole number, at least 1"),
+        ({"scale": 1, "frames": 0}, "frames is 0; it must be a whole number, at least 1"),
+        ({"scale": 1, "seed": -1}, "seed is -1; it must be a whole number, at least 0"),
         ({"scale": 100}, "64 rows and 64 columns, which is less than one sensor pixel at scale 100"),
     ],
 )

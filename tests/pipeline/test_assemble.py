@@ -186,7 +186,7 @@ def test_assemble_scene_at_rest_is_on_the_sensor_s_grid():
     """Where nothing moves a problem is exact already, and all of the shortcuts hold."""
     still = simulate(Static(data.camera()[110:158, 190:238]), scale=SCALE, frames=FRAMES, seed=3).spikes
     found = assemble(still, scale=SCALE, motion=Motion.none(24, 24), prior=HuberTotalVariation(), strength=STRENGTH)
-    assert found.data.apart and found.data.shape == (48, 48)
+    assert found.data.block_diagonal and found.data.shape == (48, 48)
     solution = reconstruct(
         still, scale=SCALE, motion=Motion.none(24, 24), prior=HuberTotalVariation(), strength=STRENGTH, gain=None
     )

@@ -12,7 +12,8 @@ from scsr_opt.motion import Motion
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.operators.sampling import moments
 from scsr_opt.pipeline.clip import Clip
-from scsr_opt.pipeline.measurement import _POSITIONS, _REACHES, Measurements, _longest_first, measure
+from scsr_opt.pipeline.measurement import _POSITIONS, Measurements, _longest_first, measure
+from scsr_opt.pipeline.settings import SamplingSettings
 
 HEIGHT, WIDTH, FRAMES = 24, 32, 65
 
@@ -56,7 +57,7 @@ def missed(positions: int, moved: float) -> float:
 
 
 def test_no_exposure_misses_much_of_the_light():
-    for fewer, reach in zip(_POSITIONS[1:], _REACHES, strict=True):
+    for fewer, reach in zip(_POSITIONS[1:], SamplingSettings().positions_motion_px, strict=True):
         assert missed(fewer, reach) < 0.0014
     assert missed(5, 1.95) < 0.003
 
@@ -153,7 +154,7 @@ def test_intervals_are_merged_where_much_of_the_scene_rests_long(spikes):
     assert (resting.merged_for[:, : WIDTH // 2 - 2] == 1).all()
     half[:, :-4] = 0.25
     assert (measurements(spikes, half).merged_for == 1).all()
-    assert (measurements(spikes, 0.0, merge=False).merged_for == 1).all()
+    assert (measurements(spikes, 0.0, merged_intervals=False).merged_for == 1).all()
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from scsr_opt.operators import accumulate, with_exposure
 from scsr_opt.pipeline import outer_loop
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.reconstruct import solve
+from scsr_opt.pipeline.settings import OuterLoopSettings
 from scsr_opt.pipeline.task import task_of
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.progress import NoProgress
@@ -86,8 +87,8 @@ def test_retargeted_state_has_the_gradients_of_the_new_problem(make, spikes):
             )
 
 
-def test_exposure_correction_far_in_some_tiles_is_made_in_these(spikes, monkeypatch):
-    monkeypatch.setattr(outer_loop, "TILE", 6)  # 4×4 tiles
+def test_exposure_correction_far_in_some_tiles_is_made_in_these(spikes):
+    settings = OuterLoopSettings()
     given = assembled(spikes, FISTA())
     placed, image = given.measurements.placed, jnp.asarray(given.image)
     problem = Problem(accumulate(placed), given.method.prior, given.method.strength)
@@ -95,12 +96,13 @@ def test_exposure_correction_far_in_some_tiles_is_made_in_these(spikes, monkeypa
     inside[24:36, 12:24] = True
     # A fifth of the picture's norm, in a tile: as a whole a quarter of that.
     level = float(jnp.sqrt(jnp.mean(image**2)))
-    tolerance = 0.06 / outer_loop.CORRECTION_DISTANCE_TOLERANCES
-    assert 0.2 / 4 < outer_loop.CORRECTION_DISTANCE_TOLERANCES * tolerance
-    assert 0.2 > outer_loop.TILE_CORRECTION_DISTANCE_TOLERANCES * tolerance
+    tolerance = 0.06 / settings.correction_tolerances
+    assert 0.2 / 4 < settings.correction_tolerances * tolerance
+    assert 0.2 > settings.tile_correction_tolerances * tolerance
     further = image + 1e-3 * level + 0.2 * level * jnp.asarray(inside, jnp.float32)
     for skip in (True, False):
-        exposures = outer_loop.ExposureCorrection(problem, placed, None, tiles=True, skip=skip)
+        # 4×4 tiles
+        exposures = outer_loop.ExposureCorrection(problem, placed, None, tile_px=6, finished_tiles=skip)
         assert exposures(image, tolerance) is not None and exposures(image, tolerance) is None
         found = exposures(further, tolerance)
         assert found is not None and exposures._touched is not None

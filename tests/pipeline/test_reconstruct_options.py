@@ -8,13 +8,14 @@ import pytest
 from skimage import data
 
 from scsr_opt import InputError, Shortcuts, Status, reconstruct, reconstruct_sequence
-from scsr_opt.calibration.gain import FIXED_PATTERN
+from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera import Intervals, Noise, Sensor, Simulation, Windows, simulate
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Global, Layers, Motion, Trust
 from scsr_opt.operators import Blur, Huber, Welsch
 from scsr_opt.pipeline import task, updates
+from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.priors import Bounded, HuberTotalVariation, TotalVariation, WaveletL1
 from scsr_opt.solvers import ADMM, FISTA, LBFGS, CondatVu, DualityGap
 
@@ -169,7 +170,7 @@ def test_gains_behind_a_robust_fit_do_not_mislead():
     found, ignored = (
         reconstruct(made.spikes, scale=2, motion=motion, robust=Huber(), gain=gain) for gain in ("blind", None)
     )
-    assert (found.diagnostics.gain_spread or 0) > FIXED_PATTERN
+    assert (found.diagnostics.gain_spread or 0) > GainSettings().pattern_spread
     assert psnr(made.truth(50.0), found.image, 8) > psnr(made.truth(50.0), ignored.image, 8) - 0.1
 
 
@@ -194,7 +195,7 @@ def test_reconstruct_gains_at_rest_are_for_what_rests(made, monkeypatch):
 def test_gains_that_do_not_spread_are_left_alone(made, usual):
     without = reconstruct(made.spikes, scale=SCALE, motion=MOTION, gain=None)
     np.testing.assert_array_equal(usual.image, without.image)
-    assert usual.diagnostics.gain_spread < FIXED_PATTERN
+    assert usual.diagnostics.gain_spread < GainSettings().pattern_spread
 
 
 def test_gain_update_pattern_that_some_pixels_show_is_looked_for_in_all(monkeypatch, made, usual):
@@ -206,8 +207,8 @@ def test_gain_update_pattern_that_some_pixels_show_is_looked_for_in_all(monkeypa
         return 0.1 if len(looked_at) == 1 else 0.001
 
     monkeypatch.setattr(updates, "spread_of", spread)
-    monkeypatch.setattr(updates, "GAIN_PROBES", 20)
-    found = reconstruct(made.spikes, scale=SCALE, motion=MOTION)
+    settings = PipelineSettings(gain=GainSettings(probed_pixels=20))
+    found = reconstruct(made.spikes, scale=SCALE, motion=MOTION, settings=settings)
     assert looked_at[0] <= 20 < looked_at[1] == 24 * 24 and found.diagnostics.gain_spread == 0.001
     np.testing.assert_array_equal(found.image, usual.image)
 
@@ -295,10 +296,10 @@ def test_reconstruct_limit_of_iterations_holds_for_all_corrections_together(made
 @pytest.mark.parametrize(
     ("change", "asked"),
     [
-        ({"solver": ADMM()}, "ADMM with RidgeRegulariser can go on from to a picture of (48, 48)"),
+        ({"solver": ADMM()}, "ADMM with RidgeRegulariser cannot start a picture of (48, 48)"),
         ({"prior": WaveletL1()}, "FISTA with WaveletL1"),
         ({"prior": Bounded(TotalVariation())}, "FISTA with Bounded"),
-        ({"scale": 3}, "FISTA with RidgeRegulariser can go on from to a picture of (72, 72)"),
+        ({"scale": 3}, "FISTA with RidgeRegulariser cannot start a picture of (72, 72)"),
         ({"state": "nothing"}, "FISTA with RidgeRegulariser"),
     ],
 )

@@ -70,7 +70,7 @@ def test_where_seen_bad_pixels_begin_at_playback():
     bad[:, 40:] = True
     options = Options(motion=Motion.none(80, 80), strength=0.01, bad_pixels=bad, shortcuts=Shortcuts.none())
     placed = assemble_task(task_of(made.spikes, SCALE, 50, options)).measurements.placed
-    begun = _where_seen(placed, jnp.zeros((160, 160)), jnp.ones((160, 160)))
+    begun = _where_seen(placed, jnp.zeros((160, 160)), jnp.ones((160, 160)), 0.1)
     np.testing.assert_array_equal(begun[:, :80], 0)
     np.testing.assert_array_equal(begun[:, 80:], 1)
 

@@ -10,7 +10,7 @@ from skimage import data
 
 from scsr_opt import Shortcuts, Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, Windows, simulate
-from scsr_opt.camera.saturation import SATURATED
+from scsr_opt.camera.saturation import SATURATED_SHARE
 from scsr_opt.camera.scenes import Box, MovingObject, Scene, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
@@ -20,7 +20,8 @@ from scsr_opt.operators.sampling import accumulate
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.defaults import default_prior
 from scsr_opt.pipeline.measurement import measure
-from scsr_opt.pipeline.scene_summary import DARK, TILE, SceneSummary, TileKind, summarise_scene
+from scsr_opt.pipeline.scene_summary import SampleWeights, SceneSummary, TileKind, summarise_scene
+from scsr_opt.pipeline.settings import SceneSummarySettings
 from scsr_opt.pipeline.updates import _some
 from scsr_opt.report import scene_figure
 
@@ -100,7 +101,7 @@ def test_shortcuts_scene_that_tries_to_fool_them_loses_nothing(name):
     clip, truth, full, skipping = all_of(name)
     assert full.scene is None and full.status.usable and full.velocity is not None
     motion = Motion.of_velocity(np.asarray(full.velocity))
-    every = accumulate(measure(clip, motion, scale=SCALE, sampling=Intervals(), merge=False).placed)
+    every = accumulate(measure(clip, motion, scale=SCALE, sampling=Intervals(), merged_intervals=False).placed)
     strength, prior = full.diagnostics.strength, default_prior(SCALE)
     assert strength is not None
 
@@ -108,7 +109,7 @@ def test_shortcuts_scene_that_tries_to_fool_them_loses_nothing(name):
         image = jnp.asarray(solution.image)
         return float(every.value(image) + strength * prior.value(image))
 
-    side = TILE * SCALE
+    side = SceneSummarySettings().tile_px * SCALE
     for solution in skipping:
         assert solution.scene is not None and solution.status.usable
         # The solve ends at a relative residual of 1e-4, which leaves far less than a tenth of these bounds.
@@ -155,7 +156,7 @@ def test_shortcuts_finished_tiles_beside_a_small_object_are_left_alone():
     assert full.tiles is not None and skipping.tiles is not None
     further = skipping.tiles.tile_iterations
     assert not full.tiles.tile_iterations.any() and 0 < np.count_nonzero(further) < further.size
-    truth, side = made.truth(KEY), TILE * 4
+    truth, side = made.truth(KEY), SceneSummarySettings().tile_px * 4
     assert psnr(truth, skipping.image, 16) > psnr(truth, full.image, 16) - 0.03
     change = (skipping.image - full.image).reshape(384 // side, side, 384 // side, side).mean((1, 3))
     assert np.abs(change).max() < 1 / 255
@@ -200,7 +201,7 @@ def test_shortcuts_still_parts_are_merged_beside_what_moves():
 
 def test_the_pixels_that_tell_of_a_fixed_pattern_are_no_pattern():
     for shape in ((80, 80), (250, 400)):
-        some = _some(np.ones(shape, bool))
+        some = _some(np.ones(shape, bool), 400)
         assert some.sum() == 400
         # Of 400 by chance half lie in every second column: six standard deviations.
         assert abs(int(some[:, ::2].sum()) - 200) < 60 and abs(int(some[::2].sum()) - 200) < 60
@@ -225,7 +226,7 @@ def test_shortcuts_robust_loss_judges_the_same_intervals(loss):
 
     spikes = simulate(Changing(dimmed), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=2).spikes
     full, skipping = both(spikes, SCALE, motion=Motion.none(80, 80), strength=0.002, robust=loss)
-    side = TILE * SCALE
+    side = SceneSummarySettings().tile_px * SCALE
     change = (skipping.image - full.image).reshape(160 // side, side, 160 // side, side).mean((1, 3))
     assert np.abs(change).max() < 1 / 255
 
@@ -256,7 +257,7 @@ def test_measure_merged_at_rest_leaves_the_problem_as_it_is():
     clip = Clip(np.asarray(made.spikes), KEY, 0.6, None)
     rest = Motion.none(80, 80)
     one, every = (
-        accumulate(measure(clip, rest, scale=SCALE, sampling=Intervals(), merge=merge).placed)
+        accumulate(measure(clip, rest, scale=SCALE, sampling=Intervals(), merged_intervals=merge).placed)
         for merge in (True, False)
     )
     # Sums of up to 60 terms of 1e-2 in float32.
@@ -272,8 +273,8 @@ def summary(
     light = np.ones(each.size, np.float32)
     merged = np.full((height, width), merged_for, np.int32)
     motion = Motion.none(height, width)
-    given = {"pixel": each, "light": light, "used": used * light}
-    return summarise_scene(spikes, motion, merged, merged, **given, noise=noise, bad_pixels=bad_pixels)
+    weights = SampleWeights(each, light, used * light)
+    return summarise_scene(spikes, motion, merged, merged, weights=weights, noise=noise, bad_pixels=bad_pixels)
 
 
 def test_summarise_scene_each_kind_of_tile_is_told():
@@ -336,7 +337,8 @@ def test_summarise_scene_few_frames_do_not_tell_saturation():
 
 
 @pytest.mark.parametrize(
-    ("kind", "limit", "beyond"), [(TileKind.DARK, DARK / 64, 3 / 64), (TileKind.SATURATED, SATURATED, 0.95)]
+    ("kind", "limit", "beyond"),
+    [(TileKind.DARK, SceneSummarySettings().dark_spikes / 64, 3 / 64), (TileKind.SATURATED, SATURATED_SHARE, 0.95)],
 )
 def test_summarise_scene_false_alarms_at_the_limits_are_as_rare_as_said(kind, limit, beyond):
     """The false-alarm rate of 0.1 % holds at the limit itself; what is well beyond it is told."""

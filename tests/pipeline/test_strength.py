@@ -21,12 +21,11 @@ from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.folds import held_out, light_at_rest
 from scsr_opt.pipeline.initial_image import initial_image
 from scsr_opt.pipeline.measurement import measure
+from scsr_opt.pipeline.settings import StrengthSettings
 from scsr_opt.pipeline.strength import (
-    _BEYOND,
-    _STAND_IN,
     StrengthSearch,
     ValidatedStrength,
-    _chosen,
+    _chosen_areas,
     _vertex,
     noise_of_mean,
     strength_of_noise,
@@ -66,8 +65,10 @@ def at_rest(
 ) -> ValidatedStrength:
     """What is found where nothing moves; with `skip` intervals are merged, and sums used again."""
     motion = Motion.none(*clip.shape)
-    measurements = measure(clip, motion, scale=SCALE, sampling=sampling, merge=skip)
-    search = StrengthSearch(scale=SCALE, prior=prior, solver=solver, sampling=sampling, merge=skip, reuse_sums=skip)
+    measurements = measure(clip, motion, scale=SCALE, sampling=sampling, merged_intervals=skip)
+    search = StrengthSearch(
+        scale=SCALE, prior=prior, solver=solver, sampling=sampling, merged_intervals=skip, reused_sums=skip
+    )
     return search.find(clip, motion, measurements, initial_of(clip))
 
 
@@ -92,9 +93,10 @@ def test_find_ridge_regulariser_follows_huber_total_variation():
         for prior in (learned, HuberTotalVariation())
     )
     assert of_learned > 1
-    factor, exponent = _STAND_IN
-    beyond = _BEYOND[0]
-    np.testing.assert_allclose(of_learned, beyond * factor * (of_huber / beyond) ** exponent, rtol=1e-5)
+    settings = StrengthSettings()
+    raised_by = settings.raised_by[0]
+    expected = raised_by * settings.ridge_factor * (of_huber / raised_by) ** settings.ridge_exponent
+    np.testing.assert_allclose(of_learned, expected, rtol=1e-5)
 
 
 def test_find_texture_by_day_stays_near_the_strength_of_noise():
@@ -190,7 +192,9 @@ def test_find_nothing_merged_uses_the_measurements_again():
     assert again.term is not None and anew.term is None
     for found, wanted in zip(jax.tree.leaves(again.term), jax.tree.leaves(whole), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
-    without = dataclasses.replace(search, merge=False, reuse_sums=False).find(clip, motion, measurements, first)
+    without = dataclasses.replace(search, merged_intervals=False, reused_sums=False).find(
+        clip, motion, measurements, first
+    )
     assert without.term is None and without.strength == again.strength
 
 
@@ -229,7 +233,12 @@ def test_find_at_rest_sums_give_the_strength_of_all_intervals(light):
     measurements = measure(clip, motion, scale=SCALE, sampling=Intervals(), on_sensor=True)
     of_sums, of_intervals = (
         StrengthSearch(
-            scale=SCALE, prior=HuberTotalVariation(), solver=FISTA(), sampling=Intervals(), merge=skip, reuse_sums=skip
+            scale=SCALE,
+            prior=HuberTotalVariation(),
+            solver=FISTA(),
+            sampling=Intervals(),
+            merged_intervals=skip,
+            reused_sums=skip,
         )
         .find(clip, motion, measurements, initial_of(clip))
         .strength
@@ -281,27 +290,27 @@ def test_where_the_scene_moves_a_fifth_of_the_pixels_is_held_out():
     ],
 )
 def test_of_a_small_even_picture_one_part_serves_in_the_middle(shape, side, found):
-    parts = _chosen(jnp.ones((2 * shape[0], 2 * shape[1])), 2, side, np.ones(shape, bool))
+    parts = _chosen_areas(jnp.ones((2 * shape[0], 2 * shape[1])), 2, side, np.ones(shape, bool), 3)
     assert parts == [found]
 
 
 def test_a_plain_a_middling_and_a_rich_part_are_chosen():
     contrast = np.repeat([0.1, 0.4, 1.0], 40).astype(np.float32)
     image = jnp.asarray(contrast * np.random.default_rng(0).random((120, 120), np.float32))
-    assert [columns.start for _, columns in _chosen(image, 1, 40, np.ones((120, 120), bool))] == [0, 40, 80]
+    assert [columns.start for _, columns in _chosen_areas(image, 1, 40, np.ones((120, 120), bool), 3)] == [0, 40, 80]
 
 
 def test_bad_pixels_are_not_looked_at():
     image = jnp.asarray(np.random.default_rng(0).random((120, 120), np.float32))
     good = np.ones((120, 120), bool)
     good[:, 60:] = False
-    assert all(columns.start < 60 for _, columns in _chosen(image, 1, 40, good))
+    assert all(columns.start < 60 for _, columns in _chosen_areas(image, 1, 40, good, 3))
     good[:, 20:] = False
     good[20:] = False
-    assert _chosen(image, 1, 40, good) == [(slice(0, 40), slice(0, 40))]
+    assert _chosen_areas(image, 1, 40, good, 3) == [(slice(0, 40), slice(0, 40))]
     corners = np.zeros((65, 65), bool)
     corners[::64, ::64] = True  # every part has less than its share of these
-    assert len(_chosen(image[:65, :65], 1, 64, corners)) == 1
+    assert len(_chosen_areas(image[:65, :65], 1, 64, corners, 3)) == 1
 
 
 def test_find_all_chosen_parts_have_a_say(monkeypatch):
@@ -312,7 +321,7 @@ def test_find_all_chosen_parts_have_a_say(monkeypatch):
     found = []
     for chosen in ([textured], [textured, plain], [plain]):
         parts = [(slice(0, 120), columns) for columns in chosen]
-        monkeypatch.setattr("scsr_opt.pipeline.strength._chosen", lambda *_, parts=parts: parts)
+        monkeypatch.setattr("scsr_opt.pipeline.strength._chosen_areas", lambda *_, parts=parts: parts)
         found.append(validated(clip))
     assert 1.2 * found[0] < found[1] < found[2] / 1.2
 

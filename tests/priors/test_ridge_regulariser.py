@@ -122,7 +122,7 @@ def test_weak_convexity_is_reached():
 @pytest.mark.parametrize("shape", [(39, 41), (9, 31), (43, 3)])
 def test_bands_are_the_whole(prior, shape, monkeypatch):
     """Few rows at a time, the last band with rows of the one before. Shapes of no other test: nothing is compiled."""
-    monkeypatch.setattr(ridge_regulariser, "_BAND", 4 * shape[1] * len(prior.filters))
+    monkeypatch.setattr(ridge_regulariser, "_BAND_VALUES", 4 * shape[1] * len(prior.filters))
     x = jnp.asarray(0.05 * noise(9, *shape), jnp.float32)
     value, gradient = prior.value_and_gradient(x)
     profile, derivative = profile_and_derivative(prior.knots, prior.slopes, correlate(prior.filters, x))

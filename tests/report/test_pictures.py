@@ -276,7 +276,7 @@ class Elsewhere:
         (np.array([[None, 1.0]]), "holds values of type object"),
         (np.array([["2026-11-29"]], "datetime64[D]"), r"holds values of type datetime64\[D\]"),
         (np.ones((2, 2), [("x", float)]), "holds values of type"),
-        (Elsewhere(), r"is a Elsewhere that NumPy cannot read \(TypeError: it is on another device\); hand in"),
+        (Elsewhere(), r"is a Elsewhere that NumPy cannot read \(TypeError: it is on another device\); give"),
         (np.ones((2, 2, 3)), r"has shape \(2, 2, 3\), but a picture is \(rows, columns\)"),
         (np.ones((0, 3)), r"has shape \(0, 3\)"),
         (np.array(0.5), r"has shape \(\)"),

@@ -153,10 +153,10 @@ def test_what_it_cannot_solve_is_refused(case):
 
 def test_it_is_taken_where_it_is_the_faster_one():
     prior = HuberTotalVariation()  # λ·400·16 ≤ 5
-    chosen = [default_solver(prior, strength=λ, scale=4, apart=apart) for λ, apart in [(7e-4, True), (9e-4, True)]]
+    chosen = [default_solver(prior, strength=λ, scale=4, block_diagonal=True) for λ in (7e-4, 9e-4)]
     assert [type(solver) for solver in chosen] == [DataProximal, FISTA]
-    assert isinstance(default_solver(prior, strength=7e-4, scale=4, apart=False), FISTA)
-    assert isinstance(default_solver(TotalVariation(), strength=7e-4, scale=4, apart=True), FISTA)
+    assert isinstance(default_solver(prior, strength=7e-4, scale=4, block_diagonal=False), FISTA)
+    assert isinstance(default_solver(TotalVariation(), strength=7e-4, scale=4, block_diagonal=True), FISTA)
 
 
 def test_fista_goes_on_from_its_state_and_it_from_that_of_fista():

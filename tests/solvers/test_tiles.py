@@ -31,10 +31,11 @@ from scsr_opt.solvers import (
     run_tiles,
 )
 from scsr_opt.solvers import tiles as module
+from scsr_opt.solvers.settings import TileSettings
 
 SENSOR, SCALE, KEY = (80, 112), 2, 10
 SHAPE = (SCALE * SENSOR[0], SCALE * SENSOR[1])  # 3×4 tiles of 64×64 pixels, those at the end smaller
-SIDE = module.TILE * SCALE
+SIDE = TileSettings().side_px * SCALE
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +94,7 @@ def pixels(row: int, column: int) -> tuple[slice, slice]:
 @pytest.mark.parametrize("skip", [True, False])
 @pytest.mark.parametrize("make", [FISTA, partial(ISTA, step_size=Separable())])
 def test_it_ends_at_the_minimum_with_no_tile_far_from_it(make, skip, problem, start, best):
-    found = run_tiles(make(iterations=400), problem, start, skip=skip)
+    found = run_tiles(make(iterations=400), problem, start, finished_tiles=skip)
     assert found.status is Status.converged and found.stages[-1].residual <= 1e-4
     tiles = found.tiles
     assert tiles is not None and tiles.largest_change <= tiles.change_limit
@@ -115,7 +116,7 @@ def test_tiles_are_iterated_as_a_whole_picture_whose_other_pixels_are_held(probl
         held = state._replace(step_size=jnp.where(jnp.asarray(inside), state.step_size, 0))
         expected, record = solver.step(problem, held)
         assert np.isfinite(record.residual) and record.residual > 0
-        found, took = module._on_tiles(STEPS, problem, state, one_tile(row, column), 0.0, 1)
+        found, took = module._on_tiles(STEPS, problem, state, one_tile(row, column), 0.0, 1, TileSettings())
         assert took.sum() == took[row, column] == 1
         np.testing.assert_array_equal(np.asarray(found.image)[~inside], np.asarray(state.image)[~inside])
         # Rounding of float32, of numbers up to 1; the dual variable's are divided by λβ, of about 0.01.
@@ -131,7 +132,7 @@ def test_tiles_are_iterated_as_a_whole_picture_whose_other_pixels_are_held(probl
 def test_the_objective_falls_with_each_turn_of_tiles(problem, rough):
     state, before = rough.state, objective(problem, rough.image)
     for turn in range(3):
-        state, took = module._on_tiles(STEPS, problem, state, np.ones((3, 4), np.float32), 1e-4, 40)
+        state, took = module._on_tiles(STEPS, problem, state, np.ones((3, 4), np.float32), 1e-4, 40, TileSettings())
         after = objective(problem, state.image)
         assert after <= before * (1 + 1e-6)  # rounding of float32
         assert turn or after < before
@@ -139,12 +140,12 @@ def test_the_objective_falls_with_each_turn_of_tiles(problem, rough):
         assert (took > 0).all()
 
 
-def test_only_what_is_unfinished_and_what_that_wakes_is_gone_on_with(problem, best, monkeypatch):
-    monkeypatch.setattr(module, "_WHOLE", 1e6)  # one iteration of the whole picture, and then tiles
+def test_only_what_is_unfinished_and_what_that_wakes_is_gone_on_with(problem, best):
+    settings = TileSettings(whole_tolerances=1e6)  # one iteration of the whole picture, and then tiles
     image = np.array(best.image)
     image[pixels(0, 0)] += 0.05 * np.random.default_rng(1).normal(size=(SIDE, SIDE))
     disturbed = best.state._replace(image=jnp.asarray(image, jnp.float32))
-    found = run_tiles(FISTA(tolerance=3e-4), problem, jnp.asarray(image), similar=disturbed)
+    found = run_tiles(FISTA(tolerance=3e-4), problem, jnp.asarray(image), similar=disturbed, settings=settings)
     assert found.status is Status.converged and found.tiles is not None
     further = found.tiles.tile_iterations
     assert further[0, 0] > 0 and not further[2:].any() and not further[:, 2:].any()
@@ -170,7 +171,7 @@ def test_it_does_not_matter_what_weights_are_counted_in(problem, start):
 @pytest.mark.parametrize("skip", [True, False])
 @pytest.mark.parametrize("most", [1, 2, 5, 9])
 def test_no_more_iterations_are_done_than_allowed(most, skip, problem, start):
-    found = run_tiles(FISTA(iterations=most, tolerance=3e-3), problem, start, skip=skip)
+    found = run_tiles(FISTA(iterations=most, tolerance=3e-3), problem, start, finished_tiles=skip)
     assert found.tiles is not None and len(found.stages) + found.tiles.tile_iterations.max() <= most
     assert np.isfinite(found.image).all()
 
@@ -179,7 +180,8 @@ def test_corrections_are_asked_for_by_the_tolerance(problem, start):
     """Whatever its digits: 1e-3 is more than its float32."""
     for tolerance in (1e-3, 1e-4, 3e-4):
         asked = []
-        run_tiles(FISTA(tolerance=tolerance), problem, start, correction=lambda _, t: asked.append(t), skip=False)  # noqa: B023
+        solver, correction = FISTA(tolerance=tolerance), lambda _, t: asked.append(t)  # noqa: B023
+        run_tiles(solver, problem, start, correction=correction, finished_tiles=False)
         assert asked and all(t == pytest.approx(tolerance) for t in asked)
 
 

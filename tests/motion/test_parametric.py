@@ -218,3 +218,13 @@ def test_a_quarter_of_the_points_go_most_of_the_way():
     region = np.ones((HEIGHT, WIDTH), bool)
     ways = [parametric(pictures, where=region, start=start, sparse=sparse) for sparse in (True, False)]
     assert worst(ways[0].velocity, ways[1].velocity) < 0.05
+
+
+def test_blocks_of_a_region_anywhere_cover_all_numbers():
+    """The votes of blocks beyond the last number would be lost."""
+    region = np.zeros((120, 160), bool)
+    region[70:110, 90:150] = True
+    points = module._points(120, 160, region, None, all_points=True, settings=DEFAULTS.parametric)
+    blocks, counts = np.unique(points.block[points.region > 0], return_counts=True)
+    np.testing.assert_array_equal(blocks, np.arange(DEFAULTS.parametric.blocks_per_side**2))
+    assert counts.max() < 4 * counts.min()

@@ -209,7 +209,8 @@ def _points(
     blocks = settings.blocks_per_side
 
     def block(of: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        return (of - of.min(initial=0)) * blocks // max(int(np.ptp(of)) + 1 if of.size else 1, 1)
+        first, extent = (int(of.min()), int(np.ptp(of)) + 1) if of.size else (0, 1)
+        return (of - first) * blocks // extent
 
     pad = (0, size - row.size)
     row, column, block_of = (np.pad(v, pad) for v in (row, column, block(row) * blocks + block(column)))

@@ -70,7 +70,9 @@ def given(files: list[str], scale: int, frames: int) -> Iterator[Case]:
 def excess(case: Case, full: Solution, other: Solution) -> float:
     """Returns the objective of `other` above that of `full`, relative, in the problem that nothing was skipped in."""
     clip = Clip.around(case.recording, frames=case.frames)
-    motion = estimate_motion(clip.spikes, key=clip.key, white_rate=clip.white_rate, estimator=Automatic(skip=False))
+    motion = estimate_motion(
+        clip.spikes, key=clip.key, white_rate=clip.white_rate, estimator=Automatic(simple_motion=False)
+    )
     objective = unskipped(clip, motion, case.scale, full.diagnostics.strength or 0.0)
     return objective(other.image) / objective(full.image) - 1
 

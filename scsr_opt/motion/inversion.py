@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
+
 Place = TypeVar("Place")
 Found = TypeVar("Found")
 Sums = TypeVar("Sums")
 
-# Fixed-point iterations of `inverse`, and the change, sensor pixels, after which no more are done.
-_REFINEMENTS, _STILL = 8, 1e-4
+ROUNDING = 1e-5
+"""Deviation of an affine field in float32 from exact values, relative to its largest value."""
 
 
 def inverse(
@@ -26,40 +28,39 @@ def inverse(
     after: Float[Array | np.ndarray, " n"],
     *,
     every: int = 1,
+    settings: TrajectorySettings = DEFAULTS.trajectory,
 ) -> Float[Array, "n 2 rows columns"]:
-    """q with q + v(q) τ + ½ a(q) τ² = p for every pixel p, or those of one row and column in so many, and τ in `after`:
-    at once where the motion is affine, else by fixed-point iteration from q = p.
+    """The key-frame point q with q + v(q) τ + ½ a(q) τ² = p, sensor pixels, for every pixel p and each τ of `after`.
 
-    The error shrinks by ‖∇d‖ each time, which is the relative change of displacement from pixel to pixel: well under ½
-    where a motion is smooth. Where it is not, as at its boundaries, what is given means nothing; of a dense estimate
-    that can be a third 50 frames away, though finding more of it, and leaving the rest out, gained 0.1 % on a car
-    (docs/measurements.md, "Sequences of key frames").
-    It ends when nothing moves by `_STILL` any more, or after `_REFINEMENTS`.
+    Solved in closed form where the motion is affine, else by fixed-point iteration from q = p. The error shrinks by
+    ‖∇d‖ in each iteration, the relative change of displacement from pixel to pixel: well under ½ where a motion is
+    smooth. Where it is not, as at motion boundaries, the point is meaningless; of a dense estimate that can be a third
+    of the pixels 50 frames away (docs/measurements.md, "Sequences of key frames").
+
+    **Arguments:** `velocity`, `acceleration`: sensor pixels per frame and per frame². `after`: frames from the key
+    frame. `every`: only each `every`-th row and column is solved for.
     """
     velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
-    affine, numbers = affine_numbers(velocity, acceleration, float(np.abs(np.asarray(after)).max()))
-    # Looking up takes most of the time, and a field of zeros need not be.
+    longest = float(np.abs(np.asarray(after)).max())
+    affine, numbers = affine_numbers(velocity, acceleration, longest, settings.inverse_tolerance_pixels)
+    # Interpolation takes most of the time, and a field of zeros needs none.
     return _inverses(
-        velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after, every
+        velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after, every, settings
     )
 
 
 def affine_numbers(
-    velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"], longest: float
+    velocity: Float[np.ndarray, "2 h w"], acceleration: Float[np.ndarray, "2 h w"], longest: float, tolerance: float
 ) -> tuple[bool, Float[np.ndarray, "2 2 3"]]:
-    """Whether a motion is affine, but for what moves nothing by `_STILL` in so many frames, and the numbers of velocity
-    and acceleration."""
-    (off, numbers), (more, others) = from_affine(velocity), from_affine(acceleration)
-    return off * longest + more * longest**2 / 2 <= _STILL, np.stack([numbers, others])
+    """Whether a motion is affine up to a displacement of `tolerance` sensor pixels in `longest` frames, and the numbers
+    of its velocity and acceleration (`deviation_from_affine`)."""
+    (off, numbers), (more, others) = deviation_from_affine(velocity), deviation_from_affine(acceleration)
+    return off * longest + more * longest**2 / 2 <= tolerance, np.stack([numbers, others])
 
 
-# By how much an affine field may be off by rounding, of its largest value.
-ROUNDING = 1e-5
-
-
-def from_affine(field: Float[np.ndarray, "2 h w"]) -> tuple[float, Float[np.ndarray, "2 3"]]:
-    """How far a field is from the affine one through three of its corners, and that one's numbers, down and right: at
-    pixel (0, 0), and their change from row to row and from column to column."""
+def deviation_from_affine(field: Float[np.ndarray, "2 h w"]) -> tuple[float, Float[np.ndarray, "2 3"]]:
+    """Largest deviation of a field from the affine one through three of its corners, and that one's numbers, down and
+    right: the value at pixel (0, 0), its change from row to row, and from column to column."""
     height, width = field.shape[1:]
     corner = field[:, 0, 0]
     down, right = (field[:, -1, 0] - corner) / max(height - 1, 1), (field[:, 0, -1] - corner) / max(width - 1, 1)
@@ -78,7 +79,7 @@ def affine_field(
     return np.stack([begin + down * rows + right * columns for begin, down, right in numbers])
 
 
-@partial(jax.jit, static_argnames="every")
+@partial(jax.jit, static_argnames=("every", "settings"))
 def _inverses(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,
@@ -86,8 +87,9 @@ def _inverses(
     numbers: Float[Array, "2 2 3"],
     after: Float[Array, " n"],
     every: int,
+    settings: TrajectorySettings,
 ) -> Float[Array, "n 2 rows columns"]:
-    return jax.lax.map(lambda tau: inverse_at(velocity, acceleration, affine, numbers, tau, every), after)
+    return jax.lax.map(lambda tau: inverse_at(velocity, acceleration, affine, numbers, tau, every, settings), after)
 
 
 def inverse_at(
@@ -97,13 +99,15 @@ def inverse_at(
     numbers: Float[Array, "2 2 3"],
     tau: Float[Array, ""],
     every: int,
+    settings: TrajectorySettings,
 ) -> Float[Array, "2 rows columns"]:
-    """`inverse` for one moment; `acceleration` None for one of zero; `affine`, `numbers` as by `affine_numbers`."""
+    """`inverse` at one moment, to be called inside `jit`: `acceleration` is None where it is zero, and `affine` and
+    `numbers` are those of `affine_numbers`."""
     here = jnp.indices(velocity.shape[1:], velocity.dtype)[:, ::every, ::every]
     fields = [velocity] if acceleration is None else [velocity, acceleration]
     powers = tau, 0.5 * tau**2
 
-    # Rows and columns apart, and the change is taken in the next turn, see `in_turn`.
+    # Rows and columns apart, and the change is computed in the next iteration, for the reason given at `in_turn`.
     def refine(carry: tuple[list[Array], list[Array], Array]) -> tuple[list[Array], list[Array], Array]:
         q, _, done = carry
         better = [
@@ -115,7 +119,8 @@ def inverse_at(
     def go_on(carry: tuple[list[Array], list[Array], Array]) -> Array:
         q, before, done = carry
         change = jnp.maximum(*(jnp.max(jnp.abs(now - then)) for now, then in zip(q, before, strict=True)))
-        return (done == 0) | ((done < _REFINEMENTS) & (change > _STILL))
+        unfinished = (done < settings.inverse_steps) & (change > settings.inverse_tolerance_pixels)
+        return (done == 0) | unfinished
 
     def solved() -> Float[Array, "2 rows columns"]:
         # q + d + D q = p, d and D those of the moment.
@@ -130,8 +135,8 @@ def inverse_at(
 
 
 class Corner(NamedTuple):
-    """Where bilinear interpolation looks: the upper left of four pixels, by its `number` in the flattened picture, and
-    how far `down` and to the `right` of it."""
+    """A position for bilinear interpolation: the `number`, in the flattened picture, of the upper left of the four
+    pixels around it, and the distances `down` and `right` from that pixel, in [0, 1]."""
 
     number: Int[Array, "..."]
     down: Float[Array, "..."]
@@ -139,7 +144,7 @@ class Corner(NamedTuple):
 
 
 def corner_of(row: Array, column: Array, height: int, width: int) -> Corner:
-    """Of a position on a picture, clamped to its border; the border of one that is not a number."""
+    """`Corner` of positions on a picture of (height, width), clamped to its border; NaN is clamped, too."""
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
     top = jnp.clip(row.astype(jnp.int32), 0, max(height - 2, 0))
     left = jnp.clip(column.astype(jnp.int32), 0, max(width - 2, 0))
@@ -147,10 +152,10 @@ def corner_of(row: Array, column: Array, height: int, width: int) -> Corner:
 
 
 def interpolated(picture: Float[Array, "h w"], at: Corner) -> Float[Array, "..."]:
-    """The picture there, bilinearly."""
+    """`picture` interpolated bilinearly at positions."""
     height, width = picture.shape
     below, beside, flat = (width if height > 1 else 0), (1 if width > 1 else 0), picture.reshape(-1)
-    # Each corner asked for once: otherwise two to ten times as long.
+    # Each corner is read once: otherwise this takes two to ten times as long.
     offsets = (0, beside, below, below + beside)
     a, b, c, d = (flat.at[at.number + offset].get(mode="promise_in_bounds") for offset in offsets)
     upper, lower = a + at.right * (b - a), c + at.right * (d - c)
@@ -158,9 +163,9 @@ def interpolated(picture: Float[Array, "h w"], at: Corner) -> Float[Array, "..."
 
 
 def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:
-    """`field` at (row, column), clamped to its border. A position that is not a number reads the border."""
+    """`field` interpolated bilinearly at (row, column), clamped to its border; NaN reads the border."""
     at = corner_of(row, column, *field.shape[1:])
-    # Channel by channel: all in one look-up took ten times as long.
+    # Channel by channel: all in one gather took ten times as long.
     return jnp.stack([interpolated(channel, at) for channel in field])
 
 
@@ -172,10 +177,11 @@ def in_turn(
     begin: Int[Array, ""] | int,
     end: Int[Array, ""] | int,
 ) -> Sums:
-    """`sums` after `add(k, look(k, place(k)), sums)` for each k from `begin` up to `end`, one at least.
+    """`sums` after `add(k, look(k, place(k)), sums)` for each k from `begin` up to `end`, for one k at least.
 
-    What is placed in one turn is looked up in the next and added in the one after. In one turn, a look-up is compiled
-    into each of the sums that use it, and its place into each of its four corners: three and two times as long.
+    A software-pipelined loop: a position is computed in one iteration, interpolated at in the next, and the value is
+    added in the one after. In one iteration, XLA compiles an interpolation into each sum that uses it, and its position
+    into each of its four corners, which takes three and two times as long.
     """
 
     def turn(k: Array, carry: tuple[Place, Found, Sums]) -> tuple[Place, Found, Sums]:

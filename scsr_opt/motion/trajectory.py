@@ -1,9 +1,9 @@
-"""Where that which a sensor pixel sees at time t lies in the key frame: the warp T of Eq. 2, seen from the sensor.
+"""`Motion` at a key frame and its `Trajectory`: where in the key frame the surface lies that a pixel sees at time t.
 
-Motion is given at the key frame: the surface at q is at q + d(q, τ) after τ frames, with d = v τ + ½ a τ² (velocity v,
-acceleration a). A sample, however, is taken at a pixel p, and needs the q with q + d(q, τ) = p. That inverse is
-computed once for a few moments, and interpolated between them: at 40,000 frames a second nothing moves far in four
-frames.
+This is the warp T of Eq. 2, seen from the sensor. Motion is given at the key frame: the surface at q is at q + d(q, τ)
+after τ frames, with d = v τ + ½ a τ² (velocity v, acceleration a). A sample, however, is measured at a pixel p, and
+needs the q with q + d(q, τ) = p. That inverse is computed at moments `SPACING` frames apart and interpolated between
+them: at 40,000 frames a second nothing moves far in four frames.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,25 +25,25 @@ from scsr_opt.motion.inversion import (
     affine_field,
     affine_numbers,
     bilinear,
-    from_affine,
+    deviation_from_affine,
     in_turn,
     inverse,
     inverse_at,
 )
+from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
 
-# Frames between two moments at which the inverse is computed. Between them it is taken as straight; with an
-# acceleration a that is wrong by at most a·(spacing)²/8, a thousandth of a pixel for a turn of 0.01 rad per frame at
-# radius 10.
 SPACING = 4
+"""Frames between two moments at which the inverse is computed. Linear interpolation between them is wrong by at most
+a·(spacing)²/8 with an acceleration a: a thousandth of a pixel for a turn of 0.01 rad per frame at radius 10."""
 
 
 class Layers(eqx.Module):
-    """Surfaces with a motion of their own each, one in front of another.
+    """Surfaces that move on their own, one in front of another.
 
     **Fields:**
     - `velocity`, `acceleration`: (layers, 2, h, w), of every layer over the whole picture, as in `Motion`.
     - `label`: (h, w), the layer that the key frame shows at a pixel.
-    - `depth`: (layers,), the larger the nearer.
+    - `depth`: (layers,), larger for nearer layers.
     """
 
     velocity: Float[np.ndarray, "layers 2 h w"]
@@ -52,8 +52,11 @@ class Layers(eqx.Module):
     depth: Int[np.ndarray, " layers"]
 
     def within(self, background: "Motion", rows: slice, columns: slice) -> "Layers":
-        """These layers on these rows and columns of the sensor, and one with the motion of `background` around them:
-        behind all others, or where it is among them, if one of them has that motion."""
+        """These layers of a part of the sensor, continued to the whole sensor, with `background` around them.
+
+        A layer that has the background's motion becomes the background and keeps its depth; if there is none, the
+        background is one more layer, behind all others.
+        """
         here = background.velocity[..., rows, columns]
         same = [k for k, velocity in enumerate(self.velocity) if np.array_equal(velocity, here)]
         ground = same[0] if same else len(self.velocity)
@@ -64,8 +67,8 @@ class Layers(eqx.Module):
         def continued(fields: np.ndarray, around: np.ndarray) -> np.ndarray:
             wide = np.pad(fields, ((0, 0), (0, 0), *beyond), mode="edge")
             for one, field in zip(wide, fields, strict=True):
-                off, numbers = from_affine(field)
-                if off <= ROUNDING * np.abs(field).max():  # which is worth keeping: see `inverse`
+                off, numbers = deviation_from_affine(field)
+                if off <= ROUNDING * np.abs(field).max():  # kept affine: `inverse` is then in closed form
                     one[:] = affine_field(numbers, height, width, sides[0][0], sides[1][0])
             return np.concatenate([wide[:ground], around[None], wide[ground + 1 :]])
 
@@ -79,10 +82,11 @@ class Layers(eqx.Module):
 
 
 class Trust(eqx.Module):
-    """How much a sample is worth that was taken at a given time, following the motion, of what it would be worth if
-    the motion were right (`scsr_opt.motion.reliability`).
+    """Weight of samples by the time they were measured at, relative to their weight if the motion were exact
+    (`scsr_opt.motion.reliability`).
 
-    **Fields:** `after` (n,): frames from the key frame; `share` (n, h, w) in [0, 1], by pixel of the key frame.
+    **Fields:** `after` (n,): frames from the key frame, increasing; `share` (n, h, w): the weight in [0, 1] of samples
+    of that time, by pixel of the key frame.
     """
 
     after: Float[np.ndarray, " n"]
@@ -97,8 +101,8 @@ class Motion(eqx.Module):
       [1] columns).
     - `acceleration`: (2, h, w), sensor pixels per frame².
     - `confidence`: (h, w) in [0, 1]: 1 where the velocity is well determined, 0 where nothing supports it.
-    - `layers`: what moves in front of what; None where one smooth motion serves the whole picture.
-    - `trust`: how far from the key frame it holds; None means as far as the recording reaches.
+    - `layers`: surfaces that move on their own; None where one smooth motion serves the whole picture.
+    - `trust`: how far from the key frame the motion holds; None means throughout the recording.
     """
 
     velocity: Float[np.ndarray, "2 h w"]
@@ -109,8 +113,12 @@ class Motion(eqx.Module):
 
     @classmethod
     def of_velocity(cls, velocity: ArrayLike, confidence: Float[np.ndarray, "h w"] | None = None) -> "Motion":
-        """Straight motion at constant speed. `velocity`: (2, h, w), sensor pixels per frame; `confidence`: (h, w), 1 if
-        None. **Raises:** `InputError` if NumPy cannot read the velocity."""
+        """Straight motion at constant speed.
+
+        **Arguments:** `velocity`: (2, h, w), sensor pixels per frame. `confidence`: (h, w); 1 everywhere if None.
+
+        **Raises:** `InputError` if NumPy cannot read the velocity.
+        """
         velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
         if confidence is None:
             confidence = np.ones(velocity.shape[1:], np.float32)
@@ -137,23 +145,23 @@ class Motion(eqx.Module):
 
     @classmethod
     def none(cls, height: int, width: int) -> "Motion":
-        """Nothing moves."""
+        """The motion of a scene at rest."""
         return cls.of_velocity(np.zeros((2, height, width), np.float32))
 
     @classmethod
     def of_layers(cls, layers: Layers, confidence: Float[np.ndarray, "h w"]) -> "Motion":
-        """Each key-frame pixel moves with its layer."""
+        """The motion in which each key-frame pixel moves with its layer. `confidence`: (h, w)."""
         chosen = layers.label[None, None]
         velocity = np.take_along_axis(layers.velocity, chosen, 0)[0]
         acceleration = np.take_along_axis(layers.acceleration, chosen, 0)[0]
         return cls(velocity, acceleration, confidence, layers)
 
     def part(self, rows: slice, columns: slice) -> "Motion":
-        """The motion of a part of the picture."""
+        """The motion of these rows and columns of the sensor."""
         return jax.tree.map(lambda field: field[..., rows, columns] if field.ndim > 1 else field, self)
 
     def within(self, background: "Motion", rows: slice, columns: slice) -> "Motion":
-        """This motion on these rows and columns of the sensor, and `background`, one smooth motion, around them."""
+        """This motion of a part of the sensor, with `background`, one smooth motion, around that part."""
         if self.velocity.shape == background.velocity.shape:
             return self
 
@@ -171,28 +179,28 @@ class Motion(eqx.Module):
 
     @property
     def moves(self) -> bool:
-        """Whether anything does."""
+        """Whether any velocity or acceleration is not zero."""
         return bool(self.velocity.any() or self.acceleration.any())
 
     @property
     def speed(self) -> Float[np.ndarray, "h w"]:
-        """Sensor pixels per frame."""
+        """Length of the velocity, sensor pixels per frame."""
         return np.hypot(*self.velocity)
 
     def moved(self, frames: int) -> Float[np.ndarray, "h w"]:
-        """How far the scene moves at each pixel in so many frames, sensor pixels; infinite beyond float32."""
+        """Displacement at each pixel in `frames` frames, sensor pixels; infinite beyond float32."""
         with np.errstate(over="ignore"):
             return self.speed * np.float32(frames)
 
 
 class Trajectory(eqx.Module):
-    """Key-frame positions for all sensor pixels at moments `first`, `first` + SPACING, … (frames).
+    """Key-frame positions for all sensor pixels at moments `first`, `first` + SPACING, …
 
     **Fields:**
-    - `first`: time of the first moment.
-    - `position`: (n, 2, h, w), sensor pixels: where that which pixel p sees at the moment lies in the key frame.
-    - `visible`: (n, h, w) in [0, 1], how far what the pixel sees is visible in the key frame, times the motion's trust;
-      weights samples.
+    - `first`: time of the first moment, frames.
+    - `position`: (n, 2, h, w), sensor pixels: where in the key frame the point lies that a pixel sees at the moment.
+    - `visible`: (n, h, w) in [0, 1]: visibility of that point in the key frame, times the motion's trust. Samples are
+      weighted by it.
     """
 
     first: Float[Array, ""]
@@ -201,16 +209,16 @@ class Trajectory(eqx.Module):
 
     @property
     def tables(self) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
-        """Rows, columns and visibility, one pixel's moments after another's: samples come pixel by pixel, so what they
-        read is near what was read before."""
-        # Each number is looked up by itself: rows of three together took three times as long.
+        """Rows, columns and visibility in the order of pixels, then moments: samples come pixel by pixel, so they read
+        memory in sequence."""
+        # Three tables: one with rows of three numbers took three times as long.
         down, right, visible = (
             jnp.moveaxis(field, 0, -1).reshape(-1) for field in (self.position[:, 0], self.position[:, 1], self.visible)
         )
         return down, right, visible
 
     def between(self, row: Int[Array, " m"], column: Int[Array, " m"], time: Float[Array, " m"]) -> "Between":
-        """Where in the tables it stands what pixels (row, column) see at `time`."""
+        """The entries of the tables between which pixels (row, column) at `time`, frames, are interpolated."""
         moments, _, _, width = self.position.shape
         pixel = (row * width + column) * moments
         if moments == 1:
@@ -222,16 +230,15 @@ class Trajectory(eqx.Module):
     def at(
         self, row: Int[Array, " m"], column: Int[Array, " m"], time: Float[Array, " m"]
     ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, " m"]]:
-        """Key-frame row and column (sensor pixels) and visibility of what pixels (row, column) see at `time`."""
+        """Key-frame row and column, sensor pixels, and visibility of the points that pixels (row, column) see at
+        `time`, frames."""
         between = self.between(row, column, time)
         down, right, visible = map(between.read, self.tables)
         return down, right, visible
 
     def part(self, rows: slice, columns: slice) -> "Trajectory":
-        """The trajectory, (n, 2, rows, columns), of these rows and columns of the sensor, each with a start and a stop.
-
-        Positions, sensor pixels, count from the part's corner, as its pixels do.
-        """
+        """The trajectory, (n, 2, rows, columns), of a part of the sensor. The slices need a start and a stop; positions
+        count from the part's corner, as its pixels do."""
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         if shape == self.position.shape[2:]:
             return self
@@ -241,7 +248,7 @@ class Trajectory(eqx.Module):
 
     @property
     def usable(self) -> Float[Array, "n h w"]:
-        """`visible`, and 0 where what a pixel sees lies out of the picture."""
+        """`visible`, and 0 where the point that a pixel sees lies outside the key frame."""
         height, width = self.position.shape[2:]
         down, right = self.position[:, 0], self.position[:, 1]
         # A tolerance, so that rounding does not take the border row of a scene at rest out of the picture.
@@ -250,29 +257,30 @@ class Trajectory(eqx.Module):
 
     @property
     def speeds(self) -> "Changes":
-        """How fast the key-frame position of what each pixel sees changes, sensor pixels per frame. Large where one
-        surface passes in front of another, as the position then jumps from the one to the other."""
+        """Speed of the key-frame position of the point that each pixel sees, sensor pixels per frame. Large where one
+        surface passes in front of another, as the position then jumps from one to the other."""
         if self.position.shape[0] == 1:
             return Changes(float(self.first), np.zeros((1, *self.position.shape[2:]), np.float32))
         return Changes(float(self.first), np.asarray(_speeds(self.position)))
 
     @property
     def unsteady(self) -> "Changes":
-        """How fast the visibility of what each pixel sees changes, per frame."""
+        """Change of the visibility of the point that each pixel sees, per frame."""
         if self.visible.shape[0] == 1:
             return Changes(float(self.first), np.zeros(self.visible.shape, np.float32))
         return Changes(float(self.first), np.asarray(_unsteady(self.visible)))
 
 
 class Between(NamedTuple):
-    """Entries of a trajectory's tables: one `before` and one `after`, and which `share` of the way lies behind."""
+    """Linear interpolation in a trajectory's tables, between entry `before` and entry `after`; `share` in [0, 1] is the
+    weight of `after`."""
 
     before: Int[Array, " m"]
     after: Int[Array, " m"]
     share: Float[Array, " m"]
 
     def read(self, table: Float[Array, " entries"]) -> Float[Array, " m"]:
-        """What a table says there."""
+        """The interpolated values of one table."""
         before, after = (table.at[entry].get(mode="promise_in_bounds") for entry in (self.before, self.after))
         return before + self.share * (after - before)
 
@@ -284,7 +292,7 @@ def _cut(
     corner: Int[Array | np.ndarray, "2"],
     shape: tuple[int, int],
 ) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
-    """What `shape` pixels from `corner` on see, from there; a program for all corners."""
+    """`Trajectory.part` of `shape` pixels from `corner` on; one program serves all corners."""
     n = position.shape[0]
     part = jax.lax.dynamic_slice(position, (0, 0, *corner), (n, 2, *shape))
     seen = jax.lax.dynamic_slice(visible, (0, *corner), (n, *shape))
@@ -307,9 +315,10 @@ def _unsteady(visible: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
 
 
 def _over_two_steps(change: Callable[[Array | int], Float[Array, "h w"]], moments: int) -> Float[Array, "n h w"]:
-    """The larger of each step's change and the next one's, then the largest of all."""
+    """`Changes.steps` for `change(k)` from moment k to the next: the larger of each two in sequence; the largest of all
+    in the last row."""
 
-    # Step by step, in the cache: all at once they took twice as long.
+    # Step by step, so that pictures stay in the cache: all at once took twice as long.
     def step(carry: tuple[Array, Array], k: Array) -> tuple[tuple[Array, Array], Float[Array, "h w"]]:
         before, most = carry
         now = change(k)
@@ -321,10 +330,10 @@ def _over_two_steps(change: Callable[[Array | int], Float[Array, "h w"]], moment
 
 
 class Changes(NamedTuple):
-    """How fast something of what each pixel sees changes, per frame.
+    """Rate of change, per frame, of a quantity of the point that each pixel sees.
 
-    **Fields:** `first`: time of the first moment; `steps` (n, h, w): from each moment on, over the next two steps; in a
-    last row the largest of all.
+    **Fields:** `first`: time of the first moment, frames; `steps` (n, h, w): the largest rate over the two steps from
+    each moment on; the last row is the largest of all.
     """
 
     first: float
@@ -332,7 +341,7 @@ class Changes(NamedTuple):
 
     @property
     def most(self) -> Float[np.ndarray, "h w"]:
-        """The fastest of all changes."""
+        """The largest rate of each pixel."""
         return self.steps[-1]
 
     def during(
@@ -342,7 +351,8 @@ class Changes(NamedTuple):
         start: Float[np.ndarray | Array, " n"],
         stop: Float[np.ndarray | Array, " n"],
     ) -> Float[np.ndarray, " n"]:
-        """From start to stop of exposures: the most of the moments around these, or of all where more lie between."""
+        """Largest rate of pixels (row, column) during exposures from `start` to `stop`, frames; the largest of all
+        moments where an exposure is longer than two steps."""
         moments, height, width = self.steps.shape
         row, column, start, stop = (np.asarray(v) for v in (row, column, start, stop))
         if moments == 1:
@@ -353,46 +363,51 @@ class Changes(NamedTuple):
         return self.steps.reshape(-1)[which * np.int32(height * width) + row * np.int32(width) + column]
 
 
-# A point counts as part of a layer if, between pixel centres, this share of it is; from the second share on it counts
-# fully. In between, a sensor pixel sees two surfaces at once.
-_PART, _WHOLE = 0.5, 0.9
+def trajectory_of(
+    motion: Motion, *, key: int, start: int, stop: int, settings: TrajectorySettings = DEFAULTS.trajectory
+) -> Trajectory:
+    """The trajectory of a motion through frames `start` to `stop` (exclusive) around key frame `key`.
 
+    With layers, a pixel sees the nearest one that comes to lie there; where there is none, the point that it sees was
+    hidden in the key frame, and `visible` is 0.
 
-def trajectory_of(motion: Motion, *, key: int, start: int, stop: int) -> Trajectory:
-    """The inverse trajectories of frames `start` to `stop` (exclusive) around key frame `key`.
-
-    With layers, a pixel sees the nearest one that comes to lie there; where there is none, what it sees was hidden in
-    the key frame, and `visible` is 0.
+    **Raises:** `InputError` in a forked process, and where JAX finds no device.
     """
     ready()
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
     if motion.trust is None and not motion.moves:
-        moments = moments[:1]  # nothing moves: one moment serves all
+        moments = moments[:1]  # at rest one moment serves all
     after = jnp.asarray(moments - np.float32(key))
-    position, visible = seen_at(motion, after)
-    return Trajectory(jnp.asarray(moments[0]), position, _believed(motion.trust, visible, position, after))
+    position, visible = key_frame_positions(motion, after, settings=settings)
+    return Trajectory(jnp.asarray(moments[0]), position, _times_trust(motion.trust, visible, position, after))
 
 
-def seen_at(
-    motion: Motion, after: Float[Array | np.ndarray, " n"], *, every: int = 1
+def key_frame_positions(
+    motion: Motion,
+    after: Float[Array | np.ndarray, " n"],
+    *,
+    every: int = 1,
+    settings: TrajectorySettings = DEFAULTS.trajectory,
 ) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
-    """Where what each pixel sees `after` so many frames lies in the key frame, and how far it is visible there; with
-    `every`, of one row and column in so many."""
+    """Key-frame position, sensor pixels, and visibility of the point that each pixel sees `after` frames from the key
+    frame; only for each `every`-th row and column."""
     layers = motion.layers
     if layers is None:
-        position = inverse(motion.velocity, motion.acceleration, after, every=every)
+        position = inverse(motion.velocity, motion.acceleration, after, every=every, settings=settings)
         return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
     nearest = np.argsort(-layers.depth, kind="stable")
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
     member = (layers.label == nearest[:, None, None]).astype(np.float32)
     longest = float(np.abs(np.asarray(after)).max())
-    affine = [affine_numbers(v, a, longest) for v, a in zip(velocity, acceleration, strict=True)]
+    tolerance = settings.inverse_tolerance_pixels
+    affine = [affine_numbers(v, a, longest, tolerance) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
-    return _seen(velocity, acceleration if acceleration.any() else None, plain, numbers, member, after, every)
+    curved = acceleration if acceleration.any() else None
+    return _layered_positions(velocity, curved, plain, numbers, member, after, every, settings)
 
 
-@partial(jax.jit, static_argnames="every")
-def _seen(
+@partial(jax.jit, static_argnames=("every", "settings"))
+def _layered_positions(
     velocity: Float[Array, "layers 2 h w"],
     acceleration: Float[Array, "layers 2 h w"] | None,
     affine: Bool[Array, " layers"],
@@ -400,35 +415,37 @@ def _seen(
     member: Float[Array, "layers h w"],
     after: Float[Array, " n"],
     every: int,
+    settings: TrajectorySettings,
 ) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
-    """`seen_at` of layers, the nearest first; moment by moment, so that pictures stay in the cache."""
+    """`key_frame_positions` of layers, the nearest first; moment by moment, so that pictures stay in the cache."""
+    partial_share, whole_share = settings.partial_share, settings.whole_share
     nowhere = jnp.zeros_like(velocity[0, :, ::every, ::every])
 
     def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
         def place(k: Array) -> Array:
             faster = None if acceleration is None else acceleration[k]
-            return inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every)
+            return inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every, settings)
 
         def look(k: Array, here: Array) -> tuple[Array, Array]:
             return here, bilinear(member[k][None], here[0], here[1])[0]
 
         def nearer(_: Array, found: tuple[Array, Array], so_far: tuple[Array, Array]) -> tuple[Array, Array]:
             (here, belongs), (position, part) = found, so_far
-            # Where no layer is certain, the one that is most so far counts.
-            better = (part <= _PART) & (belongs > part)
+            # Where the point belongs to no layer, it is that of the layer with the largest share.
+            better = (part <= partial_share) & (belongs > part)
             return jnp.where(better[None], here, position), jnp.where(better, belongs, part)
 
         nobody = nowhere, jnp.full_like(nowhere[0], -1)
         position, part = in_turn(place, look, nearer, nobody, 0, len(velocity))
-        return position, jnp.clip((part - _PART) / (_WHOLE - _PART), 0, 1)
+        return position, jnp.clip((part - partial_share) / (whole_share - partial_share), 0, 1)
 
     return jax.lax.map(one, after)
 
 
-def _believed(
+def _times_trust(
     trust: Trust | None, visible: Float[Array, "m h w"], position: Float[Array, "m 2 h w"], after: Float[Array, " m"]
 ) -> Float[Array, "m h w"]:
-    """`visible` times the share of trust at the point that is seen."""
+    """`visible` times the trust in the motion at the key-frame point that is seen."""
     if trust is None:
         return visible
     return _times_share(visible, jnp.asarray(trust.share), jnp.asarray(trust.after), position, after)
@@ -444,7 +461,7 @@ def _times_share(
 ) -> Float[Array, "m h w"]:
     def one(moment: tuple[Array, Array, Array]) -> Array:
         visible, q, tau = moment
-        # Between two known moments; before the first and after the last, theirs.
+        # Interpolated between two known moments; constant before the first and after the last.
         at = jnp.interp(tau, known, jnp.arange(known.size, dtype=known.dtype))
         before = jnp.minimum(at.astype(jnp.int32), known.size - 2)
         first, second = (bilinear(share[k][None], q[0], q[1])[0] for k in (before, before + 1))

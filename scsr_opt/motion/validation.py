@@ -8,14 +8,14 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 
 FASTEST = 1e6
-"""Sensor pixels per frame that a velocity may have either way; squares and sums of it are still numbers in float32."""
+"""Largest component of a velocity, sensor pixels per frame: its squares and sums are still finite in float32."""
 
 
 def validate_motion(motion: Motion, height: int, width: int) -> Motion:
-    """A copy of `motion`, if it can be used for a sensor of (h, w).
+    """A copy of `motion`, checked for a sensor of (height, width).
 
-    **Raises:** `InputError` if a field has another shape than such a sensor asks for, or values that are not finite or
-    a velocity above `FASTEST`, or if a label names no layer.
+    **Raises:** `InputError` if a field has another shape than this sensor needs or values that are not finite, if a
+    velocity is above `FASTEST`, if a label names no layer, or if a velocity is not that of its layer.
     """
     motion = jax.tree.map(lambda field: own(field, "A field of motion"), motion)
     picture = (height, width)

@@ -28,13 +28,12 @@ from scsr_opt.motion.estimators.evidence import contradicted
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.estimators.layered import relabelled
 from scsr_opt.motion.propagation import carry, moved_along
-from scsr_opt.motion.reliability import trusted
+from scsr_opt.motion.reliability import with_trust
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.sampling import PlacedSamples
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.reconstruct import solve
-from scsr_opt.pipeline.settings import SequenceSettings
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.progress import Progress, check_progress
@@ -140,12 +139,12 @@ def _pictures(
         for key in wanted:
             task = task_of(recording, scale, key, options)
             frames = task.motion_frames(task.options.known_gain)
-            motion = None if followed is None else _carried(followed, frames, task.clip.key_frame, settings)
+            motion = None if followed is None else _carried(followed, frames, task)
             assembly = None
             if followed is None or motion is None:
                 assembly = assemble_task(task)
                 λ = assembly.strength if task.options.selects_strength else None
-                share = _contradicted(frames, assembly.motion)
+                share = _contradicted(frames, assembly.motion, task)
                 followed = _Followed(assembly.motion, task.clip.key_frame, share, λ, assembly.gain)
             yield _Moment(task, frames, motion, followed), assembly
 
@@ -177,7 +176,7 @@ def _pictures(
                     followed = None
                 elif now.carried is None and solution.motion is not assembly.motion:
                     λ = None if followed.strength is None else solution.diagnostics.strength
-                    share = _contradicted(now.frames, solution.motion)
+                    share = _contradicted(now.frames, solution.motion, now.task)
                     followed = _Followed(solution.motion, now.key, share, λ, solution.gain)
                 before = None if followed is None else (now.key, solution)
                 done += 1
@@ -203,7 +202,8 @@ def _start(now: _Moment, assembly: Assembly, before: tuple[int, Solution] | None
     key, solution = before
     assert solution.motion is not None  # or there were nothing to carry on
     kept = assembly.method.solver.kept(solution.state)
-    moved = moved_along(solution.motion, now.key - key, assembly.task.scale, kept)
+    settings = assembly.task.options.settings.motion.trajectory
+    moved = moved_along(solution.motion, now.key - key, assembly.task.scale, kept, settings)
     if moved is kept:
         return kept
     there = assembly.method.solver.image(moved)
@@ -222,19 +222,20 @@ def _where_seen(
     return jnp.where(jnp.repeat(jnp.repeat(hardly, s, axis=1), s, axis=0), elsewhere, picture)
 
 
-def _carried(followed: _Followed, frames: MotionFrames | None, key: int, settings: SequenceSettings) -> Motion | None:
-    """The motion at frame `key`, with its trust; None if the recording contradicts it."""
-    if abs(key - followed.since) > settings.carried_frames:
+def _carried(followed: _Followed, frames: MotionFrames | None, task: Task) -> Motion | None:
+    """The motion at the task's key frame, with its trust; None if the recording contradicts it."""
+    key, settings, limits = task.clip.key_frame, task.options.settings.motion, task.options.settings.sequence
+    if abs(key - followed.since) > limits.carried_frames:
         return None
-    motion = carry(followed.motion, key - followed.since)
+    motion = carry(followed.motion, key - followed.since, settings.trajectory)
     if frames is not None:
-        motion = relabelled(frames, motion)
-    most = settings.contradicted_factor * followed.contradicted + settings.contradicted_share
-    if _contradicted(frames, motion) > most:
+        motion = relabelled(frames, motion, settings)
+    most = limits.contradicted_factor * followed.contradicted + limits.contradicted_share
+    if _contradicted(frames, motion, task) > most:
         return None
-    return motion if frames is None else trusted(frames, motion)
+    return motion if frames is None else with_trust(frames, motion, settings)
 
 
-def _contradicted(frames: MotionFrames | None, motion: Motion) -> float:
+def _contradicted(frames: MotionFrames | None, motion: Motion, task: Task) -> float:
     """The share of the pixels that contradict a motion."""
-    return 0.0 if frames is None else float(contradicted(frames, motion).mean())
+    return 0.0 if frames is None else float(contradicted(frames, motion, task.options.settings.motion).mean())

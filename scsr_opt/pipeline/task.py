@@ -13,7 +13,7 @@ from scsr_opt._validation import picture_shape, whole
 from scsr_opt.calibration.gain_network import gain_at_rest
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import Intervals
-from scsr_opt.motion.estimators.automatic import Automatic, comparable, motion_in
+from scsr_opt.motion.estimators.automatic import Automatic, corrected_frames, motion_in
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
@@ -52,18 +52,29 @@ class Task:
         motion = self.options.motion
         if isinstance(motion, Motion):
             return None
-        return Automatic(skip=self.options.shortcuts.simple_motion) if motion is None else motion
+        if motion is not None:
+            return motion
+        return Automatic(self.options.shortcuts.simple_motion, settings=self.options.settings.motion)
 
     def motion_frames(self, gain: Float[np.ndarray, "h w"] | None) -> MotionFrames | None:
         """Short pictures along the clip, over these gains, to estimate motion by; None where no motion can show."""
         clip = self.clip
-        return comparable(clip.spikes, key=clip.key, white_rate=clip.white_rate, bad_pixels=clip.bad_pixels, gain=gain)
+        return corrected_frames(
+            clip.spikes,
+            key=clip.key,
+            white_rate=clip.white_rate,
+            bad_pixels=clip.bad_pixels,
+            gain=gain,
+            settings=self.options.settings.motion,
+        )
 
     def estimate_motion(self, frames: MotionFrames | None) -> Motion:
         """The motion that these pictures show, or the one that was given."""
         if isinstance(self.options.motion, Motion):
             return self.options.motion
-        return Motion.none(*self.clip.shape) if frames is None else motion_in(frames, self.estimator)
+        if frames is None:
+            return Motion.none(*self.clip.shape)
+        return motion_in(frames, self.estimator, self.options.settings.motion)
 
     def estimate_gain_at_rest(self) -> Float[np.ndarray, "h w"]:
         """Gains of the pixels of a scene at rest, (h, w), told from the picture by a network (`gain_at_rest`)."""
@@ -78,7 +89,8 @@ class Task:
 
     def trajectory(self, motion: Motion) -> Trajectory:
         """The motion followed through all frames of the clip."""
-        return trajectory_of(motion, key=self.clip.key, start=0, stop=len(self.clip.spikes))
+        settings = self.options.settings.motion.trajectory
+        return trajectory_of(motion, key=self.clip.key, start=0, stop=len(self.clip.spikes), settings=settings)
 
     def measure(
         self, motion: Motion, gain: Float[np.ndarray, "h w"] | None, path: Trajectory | None = None

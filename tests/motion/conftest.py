@@ -9,7 +9,7 @@ from skimage import color, data
 
 from scsr_opt.camera.scenes import Affine, Box, MovingObject, Static, Translation, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
-from scsr_opt.motion.estimators.frames import MotionFrames, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, motion_frames
 
 SCALE = 2
 KEY = 50
@@ -43,7 +43,7 @@ def _recording(name: str) -> Simulation:
 
 @cache
 def _pictures(name: str) -> MotionFrames:
-    return _central(stretches(_recording(name).spikes, key=KEY), 17)
+    return _central(motion_frames(_recording(name).spikes, key=KEY), 17)
 
 
 def _central(some: MotionFrames, number: int) -> MotionFrames:

@@ -1,4 +1,4 @@
-"""What `Automatic` leaves out where a scene does not need it, and that the motion found is the same."""
+"""`Automatic`: its choice, and the work that it leaves out where a scene does not need it."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,8 @@ from scsr_opt.camera.scenes import Box, MovingObject, TurningDisc
 from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.motion import Automatic, Motion, trajectory_of
 from scsr_opt.motion.estimators import automatic
-from scsr_opt.motion.estimators.frames import MotionFrames, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, motion_frames
+from scsr_opt.motion.settings import DEFAULTS, ChoiceSettings, MotionSettings
 from scsr_opt.motion.trajectory import Layers
 
 SCALE, KEY = 2, 50
@@ -23,26 +24,26 @@ def small() -> tuple[Simulation, MotionFrames]:
     texture = color.rgb2gray(data.coffee())[100:200, 100:200]
     scene = MovingObject(wall, texture, (SCALE * SPEED[0], SCALE * SPEED[1]), shape=Box(30.0, 30.0))
     made = simulate(scene, scale=SCALE, seed=2)
-    return made, stretches(made.spikes, key=KEY)
+    return made, motion_frames(made.spikes, key=KEY)
 
 
-def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, monkeypatch):
+def test_object_before_a_still_wall_is_searched_for_around_it_only(small, monkeypatch):
     made, pictures = small
-    looked_at = []
+    searched = []
     dense = automatic.dense
 
-    def watched(part, *, start):
-        looked_at.append(part.picture.shape[1:])
-        return dense(part, start=start)
+    def watched(part, **options):
+        searched.append(part.picture.shape[1:])
+        return dense(part, **options)
 
     monkeypatch.setattr(automatic, "dense", watched)
     found = Automatic()(pictures)
-    monkeypatch.setattr(automatic, "together", lambda pictures: pytest.fail("one motion for all was fitted"))
+    monkeypatch.setattr(automatic, "global_motion", lambda *_, **__: pytest.fail("one motion was fitted to the scene"))
     assert Automatic()(pictures).velocity.shape == (2, *SHAPE)
     monkeypatch.undo()
-    assert np.prod(looked_at[0]) < 0.7 * np.prod(SHAPE)
+    assert np.prod(searched[0]) < 0.7 * np.prod(SHAPE)
 
-    everything = Automatic(skip=False)(pictures)
+    everything = Automatic(simple_motion=False)(pictures)
     assert found.layers is not None and everything.layers is not None
     label, other = found.layers.label, everything.layers.label
     assert (label != other).mean() < 0.002
@@ -55,17 +56,20 @@ def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, monk
 
 
 def test_no_affine_motion_explains_what_moves_between_pixels_at_rest():
+    def needs_several(resting: np.ndarray, moving: np.ndarray) -> bool:
+        return automatic._needs_several_motions(resting, moving, DEFAULTS.choice)
+
     rows, columns = np.mgrid[0:100, 0:120]
     inside = np.hypot(rows - 50, columns - 60)
     # A turn about the middle: at rest there, and the faster the farther out.
-    assert not automatic._takes_several(inside < 20, inside > 40)
-    assert automatic._takes_several(inside > 40, inside < 20)
-    assert automatic._takes_several(columns < 60, (columns > 70) & (columns < 85))
-    assert not automatic._takes_several(np.zeros((100, 120), bool), inside > 40)
-    assert not automatic._takes_several(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
+    assert not needs_several(inside < 20, inside > 40)
+    assert needs_several(inside > 40, inside < 20)
+    assert needs_several(columns < 60, (columns > 70) & (columns < 85))
+    assert not needs_several(np.zeros((100, 120), bool), inside > 40)
+    assert not needs_several(rows == 50, inside > 40)  # in one line: it may be the axis of a shear
     for side, several in ((6, False), (10, True)):  # 4 % of the sensor may be so by mistake, 12 % are not
         scattered = (rows % 30 < side) & (columns % 30 < side)
-        assert automatic._takes_several(scattered, ~scattered) == several
+        assert needs_several(scattered, ~scattered) == several
 
 
 @pytest.mark.parametrize("kept", [True, False])
@@ -91,85 +95,85 @@ def test_layers_of_a_part_are_continued_with_the_background(kept):
     np.testing.assert_allclose(path.position[0], np.mgrid[0:40, 0:50], atol=1e-5)
 
 
-def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
+def test_scattered_layers_are_replaced_by_others(small, monkeypatch):
     _, pictures = small
     layered, good = automatic.layered, Automatic()(pictures)
     assert good.layers is not None
 
-    def found_by(*, with_good: bool = False, with_scattered: bool = True) -> Motion:
-        def candidates(part, before, everywhere, moving, total, *, skip, sparse):
+    def found_by(choice: ChoiceSettings, *, with_good: bool = False, with_scattered: bool = True) -> Motion:
+        def candidates(part, before, everywhere, moving, total, **options):
             label = np.random.default_rng(0).integers(0, 2, moving.shape).astype(np.int32)
             velocity = np.stack([before.velocity, before.velocity + 0.1])
             scattered = Layers(velocity, np.zeros_like(velocity), label, np.array([0, 1], np.int32))
             found = [Motion.of_layers(scattered, everywhere.confidence)] if with_scattered else []
-            more = layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse) if with_good else []
+            more = layered(part, before, everywhere, moving, total, **options) if with_good else []
             return [*(lambda motion=motion: motion for motion in [before, *found]), *more]
 
         monkeypatch.setattr(automatic, "layered", candidates)
-        return Automatic()(pictures)
+        return Automatic(settings=MotionSettings(choice=choice))(pictures)
 
-    np.testing.assert_array_equal(found_by(with_good=True).velocity, good.velocity)
-    monkeypatch.setattr(automatic, "_PREDICTS", 2.0)  # so that it is no matter of how well the dense estimate predicts
-    dense = found_by()
+    np.testing.assert_array_equal(found_by(ChoiceSettings(), with_good=True).velocity, good.velocity)
+    any_residual = ChoiceSettings(prediction_ratio=2.0)  # accepts the dense estimate however well it predicts
+    dense = found_by(any_residual)
     assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
-    alone = found_by(with_scattered=False)
+    alone = found_by(any_residual, with_scattered=False)
     assert alone.layers is None and not alone.speed.any()
 
 
-@pytest.mark.parametrize("skip", [True, False])
-def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(small, skip, monkeypatch):
-    """What has the dense estimate as one more layer is made then only if nothing is to be skipped, and not chosen."""
+@pytest.mark.parametrize("simple_motion", [True, False])
+def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(small, simple_motion, monkeypatch):
+    """Layers with the dense estimate as one more are then made only without `simple_motion`, and are not chosen."""
     _, pictures = small
-    layered, good, asked = automatic.layered, Automatic(skip=skip)(pictures), []
+    layered, good, calls = automatic.layered, Automatic(simple_motion=simple_motion)(pictures), []
     assert good.layers is not None
 
     def with_another(*given, **options):
         makers = layered(*given, **options)
 
         def another() -> Motion:
-            asked.append(None)
+            calls.append(None)
             return makers[0]()
 
         return [makers[0], another]
 
-    def found(clearly: float) -> tuple[Motion, int]:
-        asked.clear()
-        monkeypatch.setattr(automatic, "_CLEARLY", clearly)
-        return Automatic(skip=skip)(pictures), len(asked)
+    def found(sufficient: float) -> tuple[Motion, int]:
+        calls.clear()
+        settings = MotionSettings(choice=ChoiceSettings(layers_sufficient_ratio=sufficient))
+        return Automatic(simple_motion=simple_motion, settings=settings)(pictures), len(calls)
 
     monkeypatch.setattr(automatic, "layered", with_another)
     first, made = found(1.0)
-    assert made == (0 if skip else 1)
+    assert made == (0 if simple_motion else 1)
     assert first.layers is not None
     np.testing.assert_array_equal(first.layers.label, good.layers.label)
     assert found(0.0)[1] == 1
 
 
-def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):
-    """An object that does not accelerate would lose by the freedom to; without it, a turning disc falls apart."""
+def test_only_accelerating_surfaces_get_an_acceleration(small, monkeypatch):
+    """An object that does not accelerate would lose accuracy; a turning disc would fall apart without acceleration."""
     wall = data.gravel()[40 : 40 + SCALE * SHAPE[0], 40 : 40 + SCALE * SHAPE[1]] / 255
     disc = TurningDisc(wall, color.rgb2gray(data.coffee())[100:200, 100:200], 0.0068, radius=110.0)
-    turning = stretches(simulate(disc, scale=SCALE, seed=2).spikes, key=KEY)
+    turning = motion_frames(simulate(disc, scale=SCALE, seed=2).spikes, key=KEY)
     taken: list[int | None] = []
     accelerated, layered, given = automatic.accelerated, automatic.layered, []
 
-    def watched(part, motion, *, start, turns=None):
+    def watched_accelerated(part, motion, *, turns=None, **options):
         taken.append(turns)
-        return accelerated(part, motion, start=start, **({} if turns is None else {"turns": turns}))
+        return accelerated(part, motion, turns=turns, **options)
 
-    def told(part, before, everywhere, moving, total, *, skip, sparse):
+    def watched_layered(part, before, everywhere, *rest, **options):
         given.append(everywhere)
-        return layered(part, before, everywhere, moving, total, skip=skip, sparse=sparse)
+        return layered(part, before, everywhere, *rest, **options)
 
-    monkeypatch.setattr(automatic, "accelerated", watched)
-    monkeypatch.setattr(automatic, "layered", told)
+    monkeypatch.setattr(automatic, "accelerated", watched_accelerated)
+    monkeypatch.setattr(automatic, "layered", watched_layered)
     steady = Automatic()(small[1])
     assert taken == [1] and not given[-1].acceleration.any()
     assert steady.layers is not None and not np.median(steady.acceleration[:, steady.layers.label > 0])
     taken.clear()
     Automatic()(turning)
     assert taken == [1, 2]
-    # −ω² r towards the middle: told apart from nothing in the outer half of the disc.
+    # −ω² r towards the middle: distinguished from zero in the outer half of the disc.
     rows, columns = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]]
     outwards = np.stack([rows - (SHAPE[0] - 1) / 2, columns - (SHAPE[1] - 1) / 2])
     distance = np.hypot(*outwards)

@@ -19,7 +19,7 @@ from scsr_opt.motion import (
     Still,
     estimate_motion,
 )
-from scsr_opt.motion.estimators.frames import MotionFrames, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, motion_frames
 from scsr_opt.motion.validation import validate_motion
 
 EVERY = [Still(), Global(), Global(affine=False), Dense(), Automatic(), PhaseCorrelation(), ILK(), TVL1()]
@@ -45,7 +45,7 @@ def test_phase_correlation_has_no_speed_limit_that_matters(pictures, error):
 def test_phase_correlation_says_how_well_the_pairs_agree(pictures):
     assert PhaseCorrelation()(pictures("translate0.3")).confidence.min() > 0.9
     noise = np.random.default_rng(0).random((101, 40, 40)) < 0.3
-    assert PhaseCorrelation()(stretches(noise, key=50)).confidence.max() < 0.5
+    assert PhaseCorrelation()(motion_frames(noise, key=50)).confidence.max() < 0.5
 
 
 def test_phase_correlation_holds_in_dim_light_and_starts_the_affine_fit_there():
@@ -133,7 +133,7 @@ def test_rows_come_first_and_down_and_right_are_positive(estimator, axis, centra
         charge += 0.6 * light
         spikes.append(charge >= 1)
         charge -= charge >= 1
-    velocity = estimator(central(stretches(np.array(spikes), key=30), 11)).velocity
+    velocity = estimator(central(motion_frames(np.array(spikes), key=30), 11)).velocity
     found = np.median(velocity, axis=(1, 2))
     assert found[axis] == pytest.approx(0.2, abs=0.02)
     assert abs(found[1 - axis]) < 0.02
@@ -190,13 +190,13 @@ def test_short_recordings_with_defaults(frames):
 @pytest.mark.parametrize("estimator", EVERY, ids=name)
 @pytest.mark.parametrize("value", [0, 1])
 def test_nothing_is_seen_moving_where_nothing_is_seen(estimator, value, central):
-    motion = estimator(central(stretches(np.full((61, 48, 48), value, np.uint8), key=30), 11))
+    motion = estimator(central(motion_frames(np.full((61, 48, 48), value, np.uint8), key=30), 11))
     assert np.abs(motion.velocity).max() < 1e-3
 
 
 @pytest.mark.parametrize("estimator", EVERY, ids=name)
 def test_noise_gives_finite_velocities(estimator, central):
-    motion = estimator(central(stretches(np.random.default_rng(1).random((61, 48, 48)) < 0.4, key=30), 11))
+    motion = estimator(central(motion_frames(np.random.default_rng(1).random((61, 48, 48)) < 0.4, key=30), 11))
     assert np.isfinite(motion.velocity).all() and np.isfinite(motion.acceleration).all()
 
 
@@ -207,7 +207,7 @@ def test_a_key_frame_near_an_end(key, recording):
 
 
 def test_constant_two_numbers_are_the_velocity_everywhere():
-    """Whatever they are handed in as; speeds and acceleration follow."""
+    """As a tuple, a list or an array; speeds and acceleration follow."""
     for pair in ((0.5, -1.0), [0.5, -1], np.array([0.5, -1.0]), np.array([0.5, -1.0], np.float32)):
         motion = Motion.constant(pair, (4, 6))
         assert motion.velocity.shape == (2, 4, 6) and motion.velocity.dtype == np.float32
@@ -282,7 +282,7 @@ def test_dense_follows_what_turns(key):
     """A point of a turning scene at r accelerates by −ω² r: here by up to 2 px over half of the recording."""
     turn = 0.006
     scene = Affine(data.camera()[100:340, 120:360] / 255, rotation=turn, key=key)
-    motion = Dense()(stretches(simulate(scene, scale=2, seed=1).spikes, key=key))
+    motion = Dense()(motion_frames(simulate(scene, scale=2, seed=1).spikes, key=key))
     arm = np.indices(motion.speed.shape) - (np.array(motion.speed.shape)[:, None, None] - 1) / 2
     truth = np.stack([-(turn**2) * arm[0], -(turn**2) * arm[1]])
     inner = np.hypot(*arm) < 40  # in view all the time
@@ -296,15 +296,15 @@ def test_dense_follows_what_turns(key):
 def test_dense_of_a_long_recording_is_finite():
     """Its pictures are further apart than the nearest times that the search begins with."""
     noise = np.random.default_rng(0).random((301, 40, 40)) < 0.3
-    motion = Dense()(stretches(noise, key=150))
+    motion = Dense()(motion_frames(noise, key=150))
     assert np.isfinite(motion.velocity).all() and np.isfinite(motion.acceleration).all()
 
 
 def test_dense_does_not_depend_on_jax_being_in_double_precision():
     made = simulate(Translation(data.camera()[100:180, 120:200] / 255, (0.14, -0.24), key=25), scale=2, frames=51)
-    single = Dense()(stretches(made.spikes, key=25))
+    single = Dense()(motion_frames(made.spikes, key=25))
     with jax.enable_x64(True):
-        double = Dense()(stretches(made.spikes, key=25))
+        double = Dense()(motion_frames(made.spikes, key=25))
     assert double.velocity.dtype == single.velocity.dtype == np.float32
     np.testing.assert_allclose(double.velocity, single.velocity, atol=1e-5)
     np.testing.assert_allclose(double.acceleration, single.acceleration, atol=1e-6)
@@ -315,5 +315,5 @@ def test_dense_does_not_depend_on_jax_being_in_double_precision():
 def test_dense_makes_little_acceleration_of_noise(sensor, bound):
     scene = Translation(data.camera()[100:340, 120:360] / 255, (0.14, -0.24), key=50)
     spikes = simulate(scene, scale=2, sensor=sensor, seed=1).spikes
-    motion = Dense()(stretches(spikes, key=50, white_rate=sensor.white_rate))
+    motion = Dense()(motion_frames(spikes, key=50, white_rate=sensor.white_rate))
     assert np.hypot(*motion.acceleration).mean() * 50**2 / 2 < bound

@@ -1,4 +1,4 @@
-"""What all motion estimates share: smoothing, and the pictures along a motion, against NumPy and SciPy."""
+"""Smoothing and regression that all motion estimators share, against NumPy and SciPy."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, median_filter
 
 from scsr_opt.motion.estimators.dense import _median
-from scsr_opt.motion.estimators.frames import drift, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, drift, smooth
 
 RANDOM = np.random.default_rng(3)
 
@@ -21,7 +21,7 @@ def test_smoothing_by_windows_of_every_width(sigma):
 
 def test_the_median_is_that_of_scipy():
     picture = RANDOM.normal(size=(2, 9, 13)).astype(np.float32)
-    np.testing.assert_array_equal(_median(jnp.asarray(picture)), median_filter(picture, (1, 5, 5), mode="nearest"))
+    np.testing.assert_array_equal(_median(jnp.asarray(picture), 5), median_filter(picture, (1, 5, 5), mode="nearest"))
 
 
 @pytest.mark.parametrize("moving", [True, False])
@@ -55,3 +55,20 @@ def test_drift_is_the_written_out_regression(moving, reach):
     }.items():
         error = np.abs(getattr(found, name) - expected)[..., shown]
         assert error.max() < 1e-3 * np.abs(expected[..., shown]).max(), name
+
+
+def test_presmoothed_is_computed_once_for_a_width():
+    pictures = MotionFrames(jnp.asarray(RANDOM.normal(size=(3, 20, 24)).astype(np.float32)), jnp.arange(3.0))
+    assert pictures.presmoothed(1) is pictures.presmoothed(1.0)
+    assert pictures.presmoothed(1.5) is not pictures.presmoothed(1.0)
+
+
+def test_part_cuts_presmoothed_pictures_of_the_whole_sensor():
+    """Those that are cut out are exact at the border of the part, where its own values would be continued."""
+    pictures = MotionFrames(jnp.asarray(RANDOM.normal(size=(3, 40, 44)).astype(np.float32)), jnp.arange(3.0))
+    box = (slice(10, 30), slice(8, 36))
+    whole = pictures.presmoothed(1.0)[:, *box]
+    np.testing.assert_array_equal(pictures.part(*box, presmoothed=(1.0,)).presmoothed(1.0), whole)
+    alone = pictures.part(*box).presmoothed(1.0)
+    np.testing.assert_allclose(alone[:, 4:-4, 4:-4], whole[:, 4:-4, 4:-4], atol=1e-6)
+    assert np.abs(alone - whole).max() > 0.01

@@ -10,8 +10,9 @@ from scsr_opt.camera import Intervals, Sensor, simulate
 from scsr_opt.camera.scenes import Box, MovingObject
 from scsr_opt.motion import Automatic, Motion, estimate_motion, trajectory_of
 from scsr_opt.motion.estimators import layered
-from scsr_opt.motion.estimators.automatic import comparable
+from scsr_opt.motion.estimators.automatic import corrected_frames
 from scsr_opt.motion.estimators.frames import MotionFrames
+from scsr_opt.motion.settings import DEFAULTS
 from scsr_opt.motion.trajectory import SPACING, Layers
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.measurement import measure
@@ -31,24 +32,24 @@ def before_a_background(depth: tuple[int, int]) -> Motion:
 
 
 def test_rest_mismatches_as_a_motion_by_nothing():
-    """The layer at rest is compared without look-ups."""
+    """The layer at rest is compared without interpolation."""
     picture = np.random.default_rng(0).random((9, 30, 40), np.float32)
     pictures = MotionFrames(jnp.asarray(picture), jnp.linspace(-40.0, 40.0, 9))
     hardly = Motion.of_velocity(np.full((2, 30, 40), 1e-30, np.float32))
-    found, expected = (layered._mismatch(pictures, motion, 0.01) for motion in (Motion.none(30, 40), hardly))
+    found, expected = (layered._mismatch(pictures, motion, 0.01, DEFAULTS) for motion in (Motion.none(30, 40), hardly))
     inside = (slice(8, -8), slice(8, -8))  # what moves at all leaves the border
     np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-5)
     assert np.ptp(found[inside]) > 0.1
 
 
-def seen_at(motion: Motion, time: int) -> tuple[np.ndarray, np.ndarray]:
+def positions_at(motion: Motion, time: int) -> tuple[np.ndarray, np.ndarray]:
     path = trajectory_of(motion, key=KEY, start=0, stop=FRAMES)
     moment = time // SPACING
     return np.asarray(path.position[moment]), np.asarray(path.visible[moment])
 
 
 def test_what_is_in_front_hides_what_is_behind():
-    position, visible = seen_at(before_a_background((0, 1)), KEY + 16)  # the square is now 4 columns further right
+    position, visible = positions_at(before_a_background((0, 1)), KEY + 16)  # the square is now 4 columns further right
     inside = (slice(12, 18), slice(21, 27))
     np.testing.assert_allclose(position[1][inside], np.arange(21, 27)[None] - 4.0 + np.zeros((6, 1)), atol=1e-4)
     assert (visible[inside] == 1).all()
@@ -58,7 +59,7 @@ def test_what_is_in_front_hides_what_is_behind():
 
 
 def test_what_is_behind_is_hidden_by_what_is_in_front():
-    position, visible = seen_at(before_a_background((1, 0)), KEY + 16)
+    position, visible = positions_at(before_a_background((1, 0)), KEY + 16)
     # The background that the key frame shows right of the square stays in view; the square slides under it.
     np.testing.assert_allclose(position[1, 12:18, 26:29], np.arange(26, 29)[None] + np.zeros((6, 1)), atol=1e-4)
     assert (visible[12:18, 26:29] == 1).all()
@@ -89,9 +90,9 @@ def test_a_plain_part_moves_with_what_surrounds_it():
     label[8:22, 8:32] = 1
     hole = label.copy()
     hole[12:18, 14:26] = 0
-    np.testing.assert_array_equal(layered._joined(hole, mismatch), label)
+    np.testing.assert_array_equal(layered._islands_merged(hole, mismatch, DEFAULTS.layers), label)
     mismatch[1, 12:18, 14:26] = 2.0  # not plain: at rest behind a hole of what moves
-    np.testing.assert_array_equal(layered._joined(hole, mismatch), hole)
+    np.testing.assert_array_equal(layered._islands_merged(hole, mismatch, DEFAULTS.layers), hole)
 
 
 def test_regions_near_each_other_are_of_one_surface():
@@ -99,34 +100,34 @@ def test_regions_near_each_other_are_of_one_surface():
     mask[10:20, 5:15] = mask[10:20, 19:30] = mask[10:20, 45:55] = True
     mask[2, 40] = True  # a single pixel may be wrong
     mask[26:, 30:40] = True  # at the edge
-    region, number = layered._regions(mask)
+    region, number = layered._regions(mask, 3)
     assert number == 3 and region[29, 35] == region[26, 35] > 0
     assert region[15, 10] == region[15, 25] == region[15, 17] != region[15, 50]
     assert region[2, 40] == region[15, 37] == 0
 
 
 def test_each_pixel_of_the_key_frame_sees_itself_then():
-    position, visible = seen_at(before_a_background((0, 1)), KEY)
+    position, visible = positions_at(before_a_background((0, 1)), KEY)
     np.testing.assert_allclose(position, np.mgrid[0:30, 0:40], atol=1e-5)
     assert (visible == 1).all()
 
 
-def test_layers_that_nearly_no_pixel_wants_go_one_after_another(monkeypatch, pictures):
-    """Each time that the pixels choose again, another layer may be left without them, until the background is all."""
+def test_layers_of_too_few_pixels_are_removed_one_after_another(monkeypatch, pictures):
+    """Each time that pixels are labelled again, another layer may lose its pixels, until the background is left."""
     shown = pictures("static")
     shape = shown.picture.shape[1:]
     motions = [Motion.of_velocity(np.full((2, *shape), speed / 10, np.float32)) for speed in range(4)]
 
-    def label(mismatches):
+    def labels(mismatches, settings):
         chosen = np.zeros(shape, np.int32)
         for k in range(1, len(mismatches)):
             chosen[9 * k : 9 * k + 9, :9] = k
         chosen[chosen == len(mismatches) - 1] = 0
         return chosen
 
-    monkeypatch.setattr(layered, "_label", label)
+    monkeypatch.setattr(layered, "_labels", labels)
     mismatches = [np.zeros(shape, np.float32)] * len(motions)
-    assert layered._layers(shown, motions, mismatches, motions[0], sparse=False) is motions[0]
+    assert layered._layers(shown, motions, mismatches, motions[0], sparse=False, settings=DEFAULTS) is motions[0]
 
 
 @pytest.mark.parametrize("speed", [(0.0, 0.2), (-0.15, 0.1)])
@@ -157,7 +158,7 @@ def test_an_object_is_found_with_its_motion_its_outline_and_its_place_in_front(s
     # Labels that are wrong by 6 pixels find their places again.
     label = motion.layers.label
     moved = eqx.tree_at(lambda found: found.label, motion.layers, np.roll(label, 6, 1))
-    pictures = comparable(made.spikes, key=50, white_rate=0.6, bad_pixels=None, gain=None)
+    pictures = corrected_frames(made.spikes, key=50, white_rate=0.6, bad_pixels=None, gain=None)
     assert pictures is not None
     again = layered.relabelled(pictures, Motion.of_layers(moved, motion.confidence))
     assert again.layers is not None

@@ -93,10 +93,10 @@ def test_a_velocity_for_each_pixel_comes_nearer(given):
 
     # Flat parts of the picture know nothing of their motion and keep what they have.
     texture = gaussian_filter(np.square(np.gradient(np.asarray(picture))), (0, 4, 4)).min(0)[::SCALE, ::SCALE]
-    told = texture[10:-10, 10:-10] > np.median(texture)
+    textured = texture[10:-10, 10:-10] > np.median(texture)
 
     def error(motion: Motion) -> float:
-        return float(np.sqrt(((motion.velocity - true.velocity)[:, 10:-10, 10:-10][:, told] ** 2).mean()))
+        return float(np.sqrt(((motion.velocity - true.velocity)[:, 10:-10, 10:-10][:, textured] ** 2).mean()))
 
     assert error(found) < 0.5 * error(wrong)
     # No step goes further than half a sensor pixel at the farthest moment.

@@ -7,8 +7,8 @@ from skimage import data
 from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.motion import Motion, trajectory_of
-from scsr_opt.motion.estimators.frames import stretches
-from scsr_opt.motion.reliability import trusted
+from scsr_opt.motion.estimators.frames import motion_frames
+from scsr_opt.motion.reliability import with_trust
 from scsr_opt.motion.trajectory import SPACING, Trust
 
 KEY, VELOCITY = 40, (0.0, 0.2)
@@ -18,7 +18,7 @@ KEY, VELOCITY = 40, (0.0, 0.2)
 def pictures():
     scene = Translation(data.gravel()[100:196, 100:196], velocity=(0.0, 2 * VELOCITY[1]))
     made = simulate(scene, scale=2, frames=81, sensor=Sensor(photons=1000.0), seed=0)
-    return stretches(made.spikes, key=KEY)
+    return motion_frames(made.spikes, key=KEY)
 
 
 def steady(pictures, velocity):
@@ -29,7 +29,7 @@ def steady(pictures, velocity):
 
 def shares(pictures, velocity):
     """Mean share near the key frame, and at both ends, of the middle of the picture (which stays in view)."""
-    trust = trusted(pictures, steady(pictures, velocity)).trust
+    trust = with_trust(pictures, steady(pictures, velocity)).trust
     assert trust is not None
     share = trust.share[:, 12:-12, 12:-12].mean((1, 2))
     near = np.abs(trust.after) <= 4
@@ -46,10 +46,10 @@ def test_a_wrong_motion_is_trusted_near_the_key_frame_only(pictures):
     assert near > 0.7 and far < 0.4
 
 
-def test_what_does_not_move_needs_no_trust():
+def test_scene_at_rest_has_no_trust():
     made = simulate(Static(data.gravel()[100:196, 100:196] / 255), scale=2, frames=81, seed=0)
-    still = stretches(made.spikes, key=KEY)
-    assert trusted(still, Motion.none(*still.picture.shape[1:])).trust is None
+    still = motion_frames(made.spikes, key=KEY)
+    assert with_trust(still, Motion.none(*still.picture.shape[1:])).trust is None
 
 
 def test_rest_is_trusted_no_more_than_other_motions(pictures):
@@ -78,8 +78,8 @@ def test_samples_count_by_the_share_of_the_point_that_they_see():
 def test_what_stands_still_has_one_worth_unless_it_is_less_than_half():
     """A slow pan taken for rest, and for a motion that differs in what stands still and at the edges only."""
     scene = Translation(data.gravel()[100:196, 100:196], velocity=(0.0, 0.03))
-    slow = stretches(simulate(scene, scale=2, frames=81, sensor=Sensor(photons=1000.0), seed=0).spikes, key=KEY)
-    resting, creeping = (trusted(slow, steady(slow, (0.0, speed))).trust for speed in (0.0, 1e-6))
+    slow = motion_frames(simulate(scene, scale=2, frames=81, sensor=Sensor(photons=1000.0), seed=0).spikes, key=KEY)
+    resting, creeping = (with_trust(slow, steady(slow, (0.0, speed))).trust for speed in (0.0, 1e-6))
     assert resting is not None and creeping is not None
     rested, crept = (trust.share[:, 12:-12, 12:-12] for trust in (resting, creeping))
     least, mean = crept.min(0), crept.mean(0)

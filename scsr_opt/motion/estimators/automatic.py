@@ -1,9 +1,11 @@
-"""Which motion a recording shows: none, one for the whole scene, one for each layer, or one for each pixel."""
+"""Choice of the motion that a recording shows: none, one for the scene, one for each layer, or one for each pixel."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,304 +21,332 @@ from scsr_opt.camera.recording import USUAL_FRAMES, WHITE_RATE, Recording, bad_p
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.dense import accelerated, dense
 from scsr_opt.motion.estimators.evidence import (
-    TOLERATED_AT_REST,
-    Missed,
+    Prediction,
     at_rest,
     contradicted,
     counts_agree,
-    heard,
-    missed,
+    observable,
+    predict,
     typical_noise,
 )
-from scsr_opt.motion.estimators.frames import MotionFrames, filled, smooth, stretches
+from scsr_opt.motion.estimators.frames import MotionFrames, filled, motion_frames, smooth
 from scsr_opt.motion.estimators.layered import layered, relabelled
-from scsr_opt.motion.estimators.parametric import moves_as_one, parametric
+from scsr_opt.motion.estimators.parametric import parametric, shows_global_motion
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
 from scsr_opt.motion.propagation import carry
-from scsr_opt.motion.reliability import trusted
+from scsr_opt.motion.reliability import with_trust
+from scsr_opt.motion.settings import DEFAULTS, ChoiceSettings, MotionSettings
 from scsr_opt.motion.trajectory import Motion
-
-# The share of the pixels that may contradict one motion for all before a richer one is tried.
-_TOLERATED_GLOBAL = 0.01
-# The share of the sensor that has to be certainly at rest, single pixels aside, for that to rule out one motion for
-# all. Slow pans, by half a sensor pixel to one and a half over the recording, had up to 0.03 by mistake; scenes with an
-# object before a background have 0.16 and more.
-_RESTING = 0.05
-# Where the key frame is farther from the middle of the pictures than this share of half their span, it lies at one end.
-# What is found in the middle of the recording then counts if no more than this share of the pixels contradict it of
-# those that contradict what is found from there.
-_ASIDE, _FEWER = 0.8, 0.75
-# The share of the pixels that has to be heard for silence to count as agreement.
-_HEARD = 0.5
-# What must be left of what contradicted the background, or of what it missed of the pictures around there, at most, for
-# anything richer to be believed.
-_HELPS = 0.8
-# What it must miss of them in any case, beside what the background misses: more numbers always fit a little better.
-_PREDICTS = 0.97
-# Where so large a share of the sensor contradicted the background, predicting better at all is enough: a clip of leaves
-# in the wind, 38 % of which contradicted rest and 0.1 % the dense estimate, was predicted 2 % better by it.
-_MUCH = 0.1
-# Layers know of edges and of what is hidden, which the dense estimate does not. They are not believed where labels are
-# so scattered that most pixels lie near an edge between them (within so many pixels): in 6 of 22 scenes, where the
-# dense estimate then was up to 3 dB better.
-_EDGE = 3
-_SCATTERED = 0.5
-# Nor where they predict the recording worse than it, by more than this factor.
-_WORSE = 1.01
-# Layers are enough without the dense estimate as one more where they predict the recording better than it by so much.
-_CLEARLY = 0.95
-# What moves apart from the background is looked for on the rows and columns where something does, with a margin (sensor
-# pixels; the widest window of the dense estimate has a reach of 18), in steps that let compiled code be met again; if
-# they make up no more than this share of the sensor.
-_MARGIN, _STEP, _WORTH = 24, 16, 0.85
-# Where work is skipped and the pictures have so many pixels, motions are compared on a sparse grid of them. It told the
-# mean mismatch to 0.3 % on a car (400×250 pixels), and to 2 % on pictures of 60×60, where that decided between two
-# and three layers (0.2 dB) and took the one behind for the one in front.
-_MANY = 10_000
-
-
-# Pixels that tell the light of a moment: those of so large a share of the mean intensity, about so many of them.
-_LIT, _LOOKED_AT = 0.1, 4000
-# How much it has to change within the recording for the pictures to be looked at without it, and the share of what
-# contradicted rest that may do so then, if the scene rests: 0.02 at most where lamps flickered by 10 to 30 %, and half
-# or more of pans and turns in which the light seems to change, by up to 12 % (docs/measurements.md).
-_FLICKER, _LEFT = 0.02, 0.05
-
-# Bad pixels are heard where so large a share of those around them is good, by a Gaussian of so many sensor pixels.
-_FILLED_FROM, _FILLED_SHARE = 2.0, 0.2
 
 
 class Still(Estimator):
-    """Nothing moves."""
+    """The estimate that nothing moves."""
 
     def __call__(self, pictures: MotionFrames) -> Motion:
         return Motion.none(*pictures.picture.shape[1:])
 
 
 class Global(Estimator):
-    """One motion for the whole scene (`together`): a translation, affine or perspective motion (a homography), as far
-    as the recording asks for it, with acceleration; or a translation only."""
+    """One motion for the whole scene (`global_motion`): a translation, affine or perspective motion (a homography), as
+    far as the recording supports it, with acceleration.
+
+    **Fields:** `affine`: False allows a translation only. `settings`: thresholds.
+    """
 
     affine: bool = True
+    settings: MotionSettings = eqx.field(static=True, default=DEFAULTS, kw_only=True)
 
     def __call__(self, pictures: MotionFrames) -> Motion:
-        return together(pictures, affine=self.affine)[0]
+        return global_motion(pictures, affine=self.affine, settings=self.settings)[0]
 
 
 class Dense(Estimator):
     """A velocity (`dense`) and an acceleration (`accelerated`) for each pixel; no edges, no occlusion.
 
-    **Fields:** `acceleration`: False leaves it out; each pixel keeps its velocity.
+    **Fields:** `acceleration`: False leaves it out; each pixel keeps its velocity. `settings`: thresholds.
     """
 
     acceleration: bool = True
+    settings: MotionSettings = eqx.field(static=True, default=DEFAULTS, kw_only=True)
 
     def __call__(self, pictures: MotionFrames) -> Motion:
-        straight = dense(pictures)
-        return accelerated(pictures, straight) if self.acceleration else straight
+        straight = dense(pictures, settings=self.settings)
+        return accelerated(pictures, straight, settings=self.settings) if self.acceleration else straight
 
 
 class Automatic(Estimator):
-    """The simplest motion that the recording does not contradict: none, one motion for all, or layers. A scene whose
-    light flickers as a whole is one in which nothing moves.
+    """The simplest motion that the recording does not contradict: none, one for the whole scene (`Global`), layers with
+    one motion each, or one for each pixel (`Dense`).
 
-    Few numbers are estimated far better than many, so the richer ones are used only where they are needed. Where the
-    key frame lies at one end of the recording, what moves apart is looked for from its middle as well.
+    A scene whose light flickers as a whole counts as one in which nothing moves. Few numbers are estimated far better
+    than many, so a richer motion is taken only where it is needed. Where the key frame lies at one end of the
+    recording, separate motion is estimated from its middle as well.
 
-    **Fields:** `skip`: richer ones are not even tried where a simpler one serves, and what moves apart from the
-    background is looked for around the pixels that contradict the background only. Otherwise all are estimated for the
-    whole sensor before one is chosen, by the same rules.
+    **Fields:**
+    - `simple_motion`: a richer motion is not estimated where a simpler one serves, and what moves apart from the
+      background is searched for only around the pixels that contradict the background (`Shortcuts.simple_motion`). If
+      False, all are estimated for the whole sensor before one is chosen, by the same rules.
+    - `settings`: thresholds.
     """
 
-    skip: bool = True
+    simple_motion: bool = True
+    settings: MotionSettings = eqx.field(static=True, default=DEFAULTS, kw_only=True)
 
     def __call__(self, pictures: MotionFrames) -> Motion:
+        choice = self.settings.choice
         first, last = np.asarray(pictures.after)[[0, -1]].tolist()
         middle = (first + last) / 2
         found, simple = self._chosen(pictures)
-        if simple or abs(middle) <= _ASIDE * (last - first) / 2:
+        if simple or abs(middle) <= choice.end_share * (last - first) / 2:
             return found
-        # From one end what moves is seen only to leave, or to come, and most of what it passes is hidden. So it is
-        # looked for in the middle, too, and followed to the key frame.
-        other = relabelled(pictures, carry(self._chosen(pictures.from_moment(middle))[0], -middle))
-        against, against_other = (contradicted(pictures, motion).sum() for motion in (found, other))
-        return other if against_other < _FEWER * against else found
+        # From one end, what moves is seen only to leave, or to come, and most of what it passes is hidden. So motion is
+        # estimated from the middle as well, and propagated to the key frame.
+        carried = carry(self._chosen(pictures.from_moment(middle))[0], -middle, self.settings.trajectory)
+        other = relabelled(pictures, carried, self.settings)
+        against, against_other = (contradicted(pictures, motion, self.settings).sum() for motion in (found, other))
+        return other if against_other < choice.end_contradiction_ratio * against else found
 
     def _chosen(self, pictures: MotionFrames) -> tuple[Motion, bool]:
-        """The motion, and whether it is none or one for all."""
+        """The motion, and whether it is none or one for the whole scene."""
+        settings, choice = self.settings, self.settings.choice
         still = Motion.none(*pictures.picture.shape[1:])
-        moving, resting = at_rest(pictures)
-        rests = bool(moving.mean() <= TOLERATED_AT_REST) and not moves_as_one(pictures)
-        rests = rests or _flickers(pictures, moving.mean())
-        if self.skip and rests:
+        moving, resting = at_rest(pictures, settings)
+        rests = bool(moving.mean() <= settings.evidence.tolerated_share_at_rest)
+        rests = rests and not shows_global_motion(pictures, settings)
+        rests = rests or _only_flickers(pictures, moving.mean(), settings)
+        if self.simple_motion and rests:
             return still, True
-        several = _takes_several(resting, moving)
-        if self.skip and several:
+        several = _needs_several_motions(resting, moving, choice)
+        presmoothed = (settings.comparison.presmoothing_pixels,)
+        if self.simple_motion and several:
             whole, left = still, moving
         else:
-            whole, left = together(pictures)
-        # Where most pixels fire too seldom to contradict a motion, their silence says nothing. (Of a dim clip a fit was
-        # wrong by two pixels per frame, at which hardly any was heard.)
-        silent = heard(pictures, whole).mean() < _HEARD
-        possible = not several and (not silent or counts_agree(pictures, whole))
-        serves = possible and bool(left.mean() <= _TOLERATED_GLOBAL)
-        if self.skip and serves:
+            whole, left = global_motion(pictures, settings=settings)
+            presmoothed += settings.parametric.presmoothing_pixels
+        # Where most pixels fire too seldom to contradict a motion, a lack of contradiction is no evidence.
+        unobservable = observable(pictures, whole, settings).mean() < choice.observable_share
+        possible = not several and (not unobservable or counts_agree(pictures, whole, settings))
+        serves = possible and bool(left.mean() <= choice.tolerated_share_global)
+        if self.simple_motion and serves:
             return whole, True
-        of_whole = possible and bool(left.mean() < moving.mean() / 2)
-        background, unexplained = (whole, left) if of_whole else (still, moving)
-        richer = _apart(pictures, background, unexplained, self.skip)
+        moves_behind = possible and bool(left.mean() < choice.background_ratio * moving.mean())
+        background, unexplained = (whole, left) if moves_behind else (still, moving)
+        richer = _SeparateMotion(pictures, background, unexplained, presmoothed, self.simple_motion, settings).found()
         return (still, True) if rests else (whole, True) if serves else (richer, False)
 
 
-def _flickers(pictures: MotionFrames, contradicting: float) -> bool:
-    """Does so large a share of the pixels contradict rest because the light changes? Lamps flicker at 100 Hz, by a few
-    percent within 100 frames, and what gets brighter as a whole looks to each window as if it moved."""
-    even = _evenly_lit(pictures)
+def _only_flickers(pictures: MotionFrames, contradicting: float, settings: MotionSettings) -> bool:
+    """Whether rest is contradicted, by this share of the pixels, because the light changes: lamps flicker at 100 Hz, by
+    a few percent within 100 frames, and each window that brightens as a whole looks as if it moved."""
+    choice = settings.choice
+    even = _without_flicker(pictures, choice)
     if even is None:
         return False
-    left = at_rest(even)[0].mean()
-    return bool(left <= min(_TOLERATED_GLOBAL, _LEFT * contradicting)) and not moves_as_one(even)
+    left = at_rest(even, settings)[0].mean()
+    most = min(choice.tolerated_share_global, choice.flicker_residual_share * contradicting)
+    return bool(left <= most) and not shows_global_motion(even, settings)
 
 
-def _evenly_lit(pictures: MotionFrames) -> MotionFrames | None:
-    """The pictures, intensity, divided by the light of their moment, the median ratio of their pixels to the mean
-    picture; None where it hardly changes (`_FLICKER`). Where something moves the median may follow that, so that
-    nothing but rest is to be asked of them."""
+def _without_flicker(pictures: MotionFrames, settings: ChoiceSettings) -> MotionFrames | None:
+    """The pictures divided by the light of their moment, the median ratio of their pixels to the mean picture; None
+    where that hardly changes. Where something moves, the median may follow it: the result is for tests of rest only."""
     shown = np.asarray(pictures.picture)
     mean = shown.mean(0)
-    some = np.argwhere(mean > _LIT * mean.mean())
-    some = tuple(some[:: max(1, len(some) // _LOOKED_AT)].T)
+    some = np.argwhere(mean > settings.lit_ratio * mean.mean())
+    some = tuple(some[:: max(1, len(some) // settings.light_pixels)].T)
     if not some[0].size:
         return None
     light = np.median(shown[:, *some] / mean[some], axis=1)
-    if np.ptp(light) <= _FLICKER * np.median(light):  # nor where there is none
+    if np.ptp(light) <= settings.flicker_share * np.median(light):  # also where there is no light
         return None
-    light = np.maximum(light, _LIT * light.max())
-    return MotionFrames(pictures.picture / jnp.asarray(light)[:, None, None], pictures.after, pictures.firing)
+    light = np.maximum(light, settings.lit_ratio * light.max())
+    even = pictures.picture / jnp.asarray(light)[:, None, None]
+    return MotionFrames(even, pictures.after, pictures.firing, cutoff=pictures.cutoff)
 
 
-def _takes_several(rests: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"]) -> bool:
-    """Do most of the moving pixels lie between or near pixels that are at rest?
+def _needs_several_motions(
+    resting: Bool[np.ndarray, "h w"], moving: Bool[np.ndarray, "h w"], settings: ChoiceSettings
+) -> bool:
+    """Whether most moving pixels lie between or near pixels at rest, so that no affine motion explains both.
 
-    A component of an affine motion that is at most ε at some points is at most ε between them, and at most 3ε as far
-    outside as they are wide, about their middle. So no such motion explains both, and none has to be fitted. Where
-    less than `_RESTING` of the sensor rests, it may be by mistake.
+    A component of an affine motion that is at most ε at some points is at most ε in their convex hull, and at most 3ε
+    in the hull enlarged by 2 about its middle. Fewer pixels at rest than `resting_share` may be so by mistake.
     """
-    rests = cast(np.ndarray, ndimage.binary_opening(rests, iterations=2))  # single pixels may be wrong
-    places = np.argwhere(rests)
-    if not moving.any() or len(places) < max(3, _RESTING * rests.size) or (np.ptp(places, axis=0) == 0).any():
+    resting = cast(np.ndarray, ndimage.binary_opening(resting, iterations=settings.resting_opening_pixels))
+    places = np.argwhere(resting)
+    if not moving.any() or len(places) < max(3, settings.resting_share * resting.size):
+        return False
+    if (np.ptp(places, axis=0) == 0).any():
         return False
     try:
         sides = ConvexHull(places).equations
     except QhullError:  # all in one line
         return False
-    # Towards the middle by half: what was twice as far out is then on the edge.
+    # Half as far from the middle: a pixel in the enlarged hull is then in the hull.
     middle = places.mean(0)
     nearer = middle + (np.argwhere(moving) - middle) / 2
     return bool((nearer @ sides[:, :2].T + sides[:, 2] < 0).all(1).mean() > 0.5)
 
 
-def _apart(pictures: MotionFrames, background: Motion, unexplained: Bool[np.ndarray, "h w"], skip: bool) -> Motion:
-    """What moves apart from the background, as layers or pixel by pixel; the background, if neither explains more."""
-    box, everything = _box(unexplained), (slice(None), slice(None))
-    used, judged_on = (box, everything) if skip else (everything, box)
-    part, before, total = pictures.part(*used), background.part(*used), unexplained.size
-    everywhere = dense(part, start=before)
-    noise = typical_noise(part, everywhere)
+@dataclass(frozen=True, eq=False)
+class _SeparateMotion:
+    """The search for what moves apart from the background, as layers or pixel by pixel.
 
-    sparse = skip and everywhere.speed.size >= _MANY
+    **Fields:** `background`, the motion of most of the scene; `unexplained`, (h, w), the pixels that contradict it;
+    `presmoothed`, widths by which all `pictures` have been presmoothed already; `simple_motion` as of `Automatic`.
+    """
 
-    def predicts(motion: Motion) -> Missed:
-        return missed(part, motion, noise, sparse=sparse).part(*judged_on)
+    pictures: MotionFrames
+    background: Motion
+    unexplained: Bool[np.ndarray, "h w"]
+    presmoothed: tuple[float, ...]
+    simple_motion: bool
+    settings: MotionSettings
 
-    # An object that does not accelerate lost 0.9 dB by the freedom to; where something does, one turn shows it.
-    with ThreadPoolExecutor(1) as beside:
-        straight, resting = (beside.submit(predicts, motion) for motion in (everywhere, before))
-        curved = accelerated(part, everywhere, start=before, turns=1)
-        by_curved, by_pixel, by_background = predicts(curved), straight.result(), resting.result()
-    if by_curved.mean < _PREDICTS * by_pixel.mean:
-        everywhere = accelerated(part, curved, start=before, turns=2)
-        by_pixel = predicts(everywhere)
+    def found(self) -> Motion:
+        """The motion of the scene; that of the background, if nothing richer explains clearly more."""
+        settings, choice = self.settings, self.settings.choice
+        box, everything = _box(self.unexplained, choice), (slice(None), slice(None))
+        used, judged_on = (box, everything) if self.simple_motion else (everything, box)
+        part = self.pictures.part(*used, presmoothed=self.presmoothed)
+        before = self.background.part(*used)
+        everywhere = dense(part, start=before, settings=settings)
+        noise = typical_noise(part, everywhere, settings.comparison.presmoothing_pixels)
+        sparse = self.simple_motion and everywhere.speed.size >= choice.sparse_from_pixels
 
-    def judged(make: Callable[[], Motion]) -> tuple[Motion, Missed, bool]:
-        motion = make()
-        miss, layers = predicts(motion), motion.layers
-        return motion, miss, layers is not None and _serve(layers.label[judged_on], miss, by_pixel, total)
+        def prediction(motion: Motion) -> Prediction:
+            return predict(part, motion, noise, sparse=sparse, settings=settings).part(*judged_on)
 
-    makers = layered(part, before, everywhere, unexplained[used], total, skip=skip, sparse=sparse)
-    candidates = in_threads(judged, makers[:1] if skip else makers)
-    _, by_first, serves = candidates[0]
-    if serves and by_first.mean < _CLEARLY * by_pixel.mean:
-        candidates = candidates[:1]
-    elif skip:
-        candidates += in_threads(judged, makers[1:])
-    serving = [(motion, miss) for motion, miss, serves in candidates if serves]
-    # Where no layers were found, the background is all that is left of them.
-    is_layered = any(motion.layers is not None for motion, *_ in candidates)
-    otherwise = [(everywhere, by_pixel)] if is_layered else [(motion, miss) for motion, miss, _ in candidates]
-    motion, miss = min(serving or otherwise, key=lambda one: one[1].mean)
-    # A recording of noise contradicts any motion: then more of it explains nothing, or predicts nothing. What is hidden
-    # for a while contradicts any motion, too, but all else is predicted.
-    at_first, enough = by_background.mean, 1.0 if unexplained.mean() >= _MUCH else _PREDICTS
-    better = miss.mean < enough * at_first
-    if better and miss.mean >= _HELPS * at_first:
-        better = contradicted(part, motion)[judged_on].sum() < _HELPS * unexplained[box].sum()
-    if better and motion is everywhere:  # in dim light predictions do not tell, and chance is taken off anyway
-        motion = accelerated(part, motion, start=before)
-    return motion.within(background, *used) if better else background
+        everywhere, by_pixel, by_background = self._maybe_accelerated(part, before, everywhere, prediction)
+        makers = layered(
+            part, before, everywhere, self.unexplained[used], self.unexplained.size,
+            simple_motion=self.simple_motion, sparse=sparse, settings=settings,
+        )  # fmt: skip
+        motion, residual = self._best(makers, everywhere, by_pixel, prediction, judged_on)
+        # A recording of noise contradicts any motion: a richer one then explains nothing, or predicts nothing. What is
+        # hidden for a while contradicts any motion, too, but all else is predicted.
+        enough = 1.0 if self.unexplained.mean() >= choice.widespread_share else choice.prediction_ratio
+        better = residual < enough * by_background
+        if better and residual >= choice.contradiction_ratio * by_background:
+            against = contradicted(part, motion, settings)[judged_on].sum()
+            better = against < choice.contradiction_ratio * self.unexplained[box].sum()
+        if better and motion is everywhere:  # in dim light predictions hardly differ, and noise is subtracted anyway
+            motion = accelerated(part, motion, start=before, settings=settings)
+        return motion.within(self.background, *used) if better else self.background
+
+    def _maybe_accelerated(
+        self,
+        part: MotionFrames,
+        before: Motion,
+        everywhere: Motion,
+        prediction: Callable[[Motion], Prediction],
+    ) -> tuple[Motion, Prediction, float]:
+        """The dense estimate, with accelerations where one turn of them predicts the pictures better; its prediction;
+        and the residual of the background, `before`. An object that does not accelerate lost 0.9 dB by the freedom to.
+        """
+        settings = self.settings
+        with ThreadPoolExecutor(1) as beside:
+            straight, resting = (beside.submit(prediction, motion) for motion in (everywhere, before))
+            curved = accelerated(part, everywhere, start=before, turns=1, settings=settings)
+            by_curved, by_pixel, by_background = prediction(curved), straight.result(), resting.result()
+        if by_curved.mean < settings.choice.prediction_ratio * by_pixel.mean:
+            turns = settings.dense.acceleration_turns - 1
+            everywhere = accelerated(part, curved, start=before, turns=turns, settings=settings)
+            by_pixel = prediction(everywhere)
+        return everywhere, by_pixel, by_background.mean
+
+    def _best(
+        self,
+        makers: list[Callable[[], Motion]],
+        everywhere: Motion,
+        by_pixel: Prediction,
+        prediction: Callable[[Motion], Prediction],
+        judged_on: tuple[slice, slice],
+    ) -> tuple[Motion, float]:
+        """The motion of least residual, and that: of the layers that serve, or else of the dense estimate; of the
+        background where no layers were found."""
+        choice, total = self.settings.choice, self.unexplained.size
+        edge = self.settings.layers.edge_pixels
+
+        def judged(make: Callable[[], Motion]) -> tuple[Motion, Prediction, bool]:
+            motion = make()
+            by_layers, layers = prediction(motion), motion.layers
+            if layers is None:
+                return motion, by_layers, False
+            compact = _is_compact(layers.label[judged_on], total, edge, choice)
+            return motion, by_layers, compact and _predict_as_well(by_layers, by_pixel, choice)
+
+        candidates = in_threads(judged, makers[:1] if self.simple_motion else makers)
+        _, by_first, serves = candidates[0]
+        if serves and by_first.mean < choice.layers_sufficient_ratio * by_pixel.mean:
+            candidates = candidates[:1]
+        elif self.simple_motion:
+            candidates += in_threads(judged, makers[1:])
+        serving = [(motion, found) for motion, found, serves in candidates if serves]
+        is_layered = any(motion.layers is not None for motion, *_ in candidates)
+        otherwise = [(everywhere, by_pixel)] if is_layered else [(motion, found) for motion, found, _ in candidates]
+        motion, found = min(serving or otherwise, key=lambda one: one[1].mean)
+        return motion, found.mean
 
 
-def _box(mask: Bool[np.ndarray, "h w"]) -> tuple[slice, slice]:
-    """The rows and columns of a mask, with a margin; all, where little would be left out."""
+def _box(mask: Bool[np.ndarray, "h w"], settings: ChoiceSettings) -> tuple[slice, slice]:
+    """The rows and columns of a mask, with a margin; all of them where the box would hardly be smaller."""
+    margin, step = settings.margin_pixels, settings.box_step_pixels
     sides = []
     for axis, length in enumerate(mask.shape):
         some = np.flatnonzero(mask.any(1 - axis))
         begin, end = (int(some[0]), int(some[-1]) + 1) if some.size else (0, length)
-        begin = max(begin - _MARGIN, 0) // _STEP * _STEP
-        end = min(-(-(end + _MARGIN) // _STEP) * _STEP, length)
+        begin = max(begin - margin, 0) // step * step
+        end = min(-(-(end + margin) // step) * step, length)
         sides.append(slice(begin, end))
     area = np.prod([side.stop - side.start for side in sides])
-    return (sides[0], sides[1]) if area <= _WORTH * mask.size else (slice(None), slice(None))
+    return (sides[0], sides[1]) if area <= settings.box_share * mask.size else (slice(None), slice(None))
 
 
-def _serve(label: Int[np.ndarray, "h w"], by_layers: Missed, by_pixel: Missed, total: int) -> bool:
-    """Do the layers predict the recording as well as the dense estimate does, where they say that something is seen?
-
-    `total`: sensor pixels; those beyond the pictures show the background alone.
-    """
-    inner = maximum_filter(label, 2 * _EDGE + 1) == minimum_filter(label, 2 * _EDGE + 1)
-    if inner.sum() + total - inner.size < _SCATTERED * total:
-        return False
-    both = (by_layers.seen > 0.5) & (by_pixel.seen > 0.5)
-    return bool(by_layers.error[both].mean() <= _WORSE * by_pixel.error[both].mean())
+def _is_compact(label: Int[np.ndarray, "h w"], total: int, edge: int, settings: ChoiceSettings) -> bool:
+    """Whether enough pixels lie more than `edge` pixels inside a layer; of `total` sensor pixels, those beyond the
+    labels are background."""
+    inner = maximum_filter(label, 2 * edge + 1) == minimum_filter(label, 2 * edge + 1)
+    return bool(inner.sum() + total - inner.size >= settings.layer_interior_share * total)
 
 
-def together(pictures: MotionFrames, *, affine: bool = True) -> tuple[Motion, Bool[np.ndarray, "h w"]]:
+def _predict_as_well(by_layers: Prediction, by_pixel: Prediction, settings: ChoiceSettings) -> bool:
+    """Whether layers predict the recording as well as the dense estimate does, where both predict it."""
+    both = (by_layers.visible > 0.5) & (by_pixel.visible > 0.5)
+    residual, reference = by_layers.residual[both].mean(), by_pixel.residual[both].mean()
+    return bool(residual <= settings.layers_residual_ratio * reference)
+
+
+def global_motion(
+    pictures: MotionFrames, *, affine: bool = True, settings: MotionSettings = DEFAULTS
+) -> tuple[Motion, Bool[np.ndarray, "h w"]]:
     """One motion for the whole scene (`parametric`), and the pixels that contradict it.
 
-    Where that is too much, phase correlation gives another start, if it is itself contradicted by fewer. In dim light
-    near times, by which the fit begins, show nothing: at 0.12 spikes per frame of white it missed 0.3 px per frame by
-    0.27 from rest, by 0.03 from there.
+    Where these are too many, the fit is repeated from phase correlation, if fewer contradict that. In dim light near
+    times, by which the fit begins, show nothing: at 0.12 spikes per frame of white its error was 0.27 of 0.3 px per
+    frame from rest, 0.03 from phase correlation.
     """
-    motion = parametric(pictures, affine=affine)
-    left = _left(pictures, motion)
-    start = PhaseCorrelation()(pictures) if left.mean() > _TOLERATED_GLOBAL else None
-    if start is not None and _left(pictures, start).mean() < left.mean():
-        other = parametric(pictures, affine=affine, start=start)
-        left_then = _left(pictures, other)
+    motion = parametric(pictures, affine=affine, settings=settings)
+    left = _contradicting(pictures, motion, settings)
+    too_many = left.mean() > settings.choice.tolerated_share_global
+    start = PhaseCorrelation(settings=settings)(pictures) if too_many else None
+    if start is not None and _contradicting(pictures, start, settings).mean() < left.mean():
+        other = parametric(pictures, affine=affine, start=start, settings=settings)
+        left_then = _contradicting(pictures, other, settings)
         if left_then.mean() < left.mean():
             return other, left_then
     return motion, left
 
 
-def _left(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
-    """The pixels that contradict a motion of the whole scene; all, if it carries most out of view, where nothing can
-    contradict it, and what is left does not speak for it."""
+def _contradicting(pictures: MotionFrames, motion: Motion, settings: MotionSettings) -> Bool[np.ndarray, "h w"]:
+    """The pixels that contradict a motion of the whole scene; all pixels, if the motion carries most of them out of
+    view, where nothing can contradict it, and the counts of spikes do not agree with it."""
     longest = float(jnp.max(jnp.abs(pictures.after)))
-    leaves = np.abs(np.median(motion.velocity, axis=(1, 2))) * longest > 0.5 * np.array(pictures.picture.shape[1:])
-    if leaves.any() and not counts_agree(pictures, motion):
+    far = settings.choice.out_of_view_share * np.array(pictures.picture.shape[1:])
+    leaves = np.abs(np.median(motion.velocity, axis=(1, 2))) * longest > far
+    if leaves.any() and not counts_agree(pictures, motion, settings):
         return np.ones(motion.speed.shape, bool)
-    return contradicted(pictures, motion)
+    return contradicted(pictures, motion, settings)
 
 
 def estimate_motion(
@@ -327,6 +357,7 @@ def estimate_motion(
     estimator: Estimator | None = None,
     bad_pixels: np.ndarray | None = None,
     gain: Float[np.ndarray, "h w"] | None = None,
+    settings: MotionSettings = DEFAULTS,
 ) -> Motion:
     """The motion around a key frame, with its trust.
 
@@ -335,9 +366,10 @@ def estimate_motion(
       key frame are used, with its white rate and bad pixels.
     - `key`: the key frame; the middle one if None.
     - `white_rate`: spikes per frame of a pixel at intensity 1; the recording's, or 0.6, if None.
-    - `estimator`: `Automatic` if None.
+    - `estimator`: `Automatic(settings=settings)` if None.
     - `bad_pixels`: (h, w), filled from their neighbours before anything is compared.
     - `gain`: (h, w), by which measurements are divided: a fixed pattern rests whatever moves. 1 if None.
+    - `settings`: thresholds of the pictures and the trust, and of the estimator where none is given.
 
     **Returns:** the `Motion`; none for fewer than three frames, or a single row or column.
 
@@ -355,38 +387,42 @@ def estimate_motion(
     else:
         frames = as_array(spikes, "The array of spikes")
         key, rate = len(frames) // 2 if key is None else key, WHITE_RATE if white_rate is None else white_rate
-    pictures = comparable(frames, key=key, white_rate=rate, bad_pixels=bad, gain=gains)
+    pictures = corrected_frames(frames, key=key, white_rate=rate, bad_pixels=bad, gain=gains, settings=settings)
     if pictures is None:
         return Motion.none(*frames.shape[1:])
     # Arrays of the caller's own, which can be written to.
-    return jax.tree.map(np.array, motion_in(pictures, estimator))
+    return jax.tree.map(np.array, motion_in(pictures, estimator, settings))
 
 
-def motion_in(pictures: MotionFrames, estimator: Estimator | None = None) -> Motion:
-    """The motion (h, w) that these pictures (`comparable`) show by `estimator`, `Automatic` if not given, with its
-    trust."""
+def motion_in(pictures: MotionFrames, estimator: Estimator | None, settings: MotionSettings) -> Motion:
+    """The motion (h, w) in these pictures (`corrected_frames`) by `estimator`, `Automatic` if None, with its trust."""
     ready()
-    motion = (Automatic() if estimator is None else estimator)(pictures)
-    return trusted(pictures, motion)
+    motion = (Automatic(settings=settings) if estimator is None else estimator)(pictures)
+    return with_trust(pictures, motion, settings)
 
 
-def comparable(
+def corrected_frames(
     spikes: Shaped[np.ndarray, "T h w"],
     *,
     key: int,
     white_rate: float | int,
     bad_pixels: np.ndarray | None,
     gain: Float[np.ndarray, "h w"] | None,
+    settings: MotionSettings = DEFAULTS,
 ) -> MotionFrames | None:
-    """The recording as pictures (`stretches`) in which what differs has moved: over the gains, bad pixels filled. None
-    where no motion can be seen, in fewer than three frames or a single row or column."""
+    """The recording as `motion_frames` in which all differences are motion: divided by the gains, bad pixels filled.
+
+    **Arguments:** as of `estimate_motion`, with `key` counted from the first frame.
+
+    **Returns:** None where no motion can be seen, in fewer than three frames or a single row or column.
+    """
     ready()
     frames, height, width = spikes.shape
     if frames < 3 or min(height, width) < 2:
         return None
-    found = stretches(spikes, key=key, white_rate=white_rate)
+    found, limits = motion_frames(spikes, key=key, white_rate=white_rate, settings=settings), settings.frames
     picture, firing, counted = found.picture, found.firing, found.counted
-    assert firing is not None and counted is not None  # by `stretches`
+    assert firing is not None and counted is not None  # by `motion_frames`
     good = None if bad_pixels is None or not bad_pixels.any() else ~bad_pixels
 
     def mended(of: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
@@ -394,7 +430,7 @@ def comparable(
         return over if good is None else filled(over, good)
 
     if good is not None:
-        # Where there are no good pixels around, nothing is heard: what is filled in there does not move.
-        some = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(_FILLED_FROM)) > _FILLED_SHARE
-        firing = jnp.where(some, filled(firing[None], good)[0], 0)
-    return MotionFrames(mended(picture), found.after, firing, lambda: mended(counted()))
+        # Where hardly any pixel around is good, what is filled in does not move, and must not contradict a motion.
+        around = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(limits.repair_window_pixels))
+        firing = jnp.where(around > limits.repair_good_share, filled(firing[None], good)[0], 0)
+    return MotionFrames(mended(picture), found.after, firing, lambda: mended(counted()), found.cutoff)

@@ -1,4 +1,4 @@
-"""`Estimator`: the base class of everything that finds the motion of a recording."""
+"""`Estimator`: the base class of all motion estimators."""
 
 import abc
 
@@ -9,8 +9,8 @@ from scsr_opt.motion.trajectory import Motion
 
 
 class Estimator(eqx.Module):
-    """Estimator of the motion around a key frame; `reconstruct` calls it with pictures of the recording's times."""
+    """An estimator of the motion around a key frame; `reconstruct` calls it with short pictures of the clip."""
 
     @abc.abstractmethod
     def __call__(self, pictures: MotionFrames) -> Motion:
-        """The motion, (h, w), that these pictures show."""
+        """The `Motion`, in sensor pixels on the key frame's grid (h, w), of the scene in these pictures."""

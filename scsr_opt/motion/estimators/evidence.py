@@ -1,4 +1,4 @@
-"""Does the recording contradict a motion? A test on statistics, for each pixel's surroundings."""
+"""Test of a motion against the recording: which pixels contradict it, and how well it predicts the pictures."""
 
 from functools import partial
 from typing import NamedTuple
@@ -10,71 +10,68 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt.motion.estimators.frames import Drift, MotionFrames, along, drift, smooth
 from scsr_opt.motion.inversion import Corner, bilinear, in_turn, interpolated
-from scsr_opt.motion.trajectory import Motion, seen_at
-
-# A pixel contradicts a motion if another velocity in its window would explain the recording better by this much
-# (likelihood ratio; χ² with 2 degrees of freedom if the noise were white, so that 100 would never be met by chance: on
-# recordings of still scenes the largest value seen was 80, the median 3.5), and would take it more than half a pixel
-# elsewhere.
-_CONTRADICTION = 100.0
-_DRIFT = 0.5
-_WINDOW = 3.0
-TOLERATED_AT_REST = 0.001
-"""The share of the pixels that may contradict that nothing moves without it being doubted."""
-# Between two spikes a pixel tells nothing of when its light came: what passes it within an interval looks as if it
-# stood still. Where a motion goes further between spikes than a pixel's diagonal (sensor pixels), the pixel is not
-# heard against it. Of `skimage.data.camera` at 0.3 px per frame a tenth contradicted the true velocity by day without
-# this; with 2 pixels up to 4 % of dim stills at 0.14, with 1 a car that passes in dim light went unnoticed.
-_SMEAR = 1.4
-# Spikes within the pictures that it takes for a pixel to be certainly at rest. With fewer, most pictures show the same
-# interval, and agree whatever moves: of pans over 10 to 40 frames, or in dim light, up to four fifths seemed to rest.
-# With two it is 0.05 at most, and of scenes that do rest in part, in dim light, half or more of it is left.
-_SPIKES = 2.0
+from scsr_opt.motion.settings import DEFAULTS, ComparisonSettings, MotionSettings
+from scsr_opt.motion.trajectory import Motion, key_frame_positions
 
 
-def contradicted(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
-    """Where the recording contradicts `motion`, see above."""
-    evidence, drifted, _ = map(np.asarray, _evidence(pictures, motion))
-    return (evidence > _CONTRADICTION) & (drifted > _DRIFT) & heard(pictures, motion)
+def contradicted(
+    pictures: MotionFrames, motion: Motion, settings: MotionSettings = DEFAULTS
+) -> Bool[np.ndarray, "h w"]:
+    """Contradiction test: pixels that are observable under `motion`, and whose window another velocity explains clearly
+    better and at a clear distance (`EvidenceSettings`)."""
+    limits, by = settings.evidence, settings.comparison
+    after = np.asarray(pictures.after)
+    fields = motion.velocity, motion.acceleration
+    now = drift(pictures.presmoothed(by.presmoothing_pixels), after, np.ones_like(after), fields)
+    gain, distance, _ = _score_test(now, after, settings)
+    exceeds = (gain > limits.contradiction_likelihood) & (distance > limits.contradiction_pixels)
+    return exceeds & observable(pictures, motion, settings)
 
 
-def heard(pictures: MotionFrames, motion: Motion) -> Bool[np.ndarray, "h w"]:
-    """Where pixels fire often enough to contradict this motion, see above."""
-    firing = _firing_around(pictures)
-    return np.ones(motion.speed.shape, bool) if firing is None else motion.speed <= _SMEAR * firing
+def observable(pictures: MotionFrames, motion: Motion, settings: MotionSettings = DEFAULTS) -> Bool[np.ndarray, "h w"]:
+    """Pixels that fire often enough to contradict this motion.
 
-
-def _firing_around(pictures: MotionFrames) -> Float[np.ndarray, "h w"] | None:
-    """Spikes per frame in each pixel's window, if known."""
-    firing = pictures.firing
+    Between two spikes a pixel does not resolve when its light came: what passes within an interval looks as if it stood
+    still.
+    """
+    firing = pictures.firing_around(settings.comparison.window_pixels)
     if firing is None:
-        return None
-    return pictures.once("firing around", lambda: np.asarray(smooth(firing, jnp.asarray(_WINDOW))))
+        return np.ones(motion.speed.shape, bool)
+    return motion.speed <= settings.evidence.smear_pixels * np.asarray(firing)
 
 
-def at_rest(pictures: MotionFrames) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Where the recording contradicts that nothing moves, as `contradicted` says, and where it is certain that nothing
-    does: any motion by half a pixel over the recording would contradict rest, and there are spikes to show it."""
+def at_rest(
+    pictures: MotionFrames, settings: MotionSettings = DEFAULTS
+) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Pixels that contradict rest, and pixels that are certainly at rest.
 
-    def found() -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        evidence, drifted, least = map(np.asarray, _evidence(pictures, None))
-        moving = (evidence > _CONTRADICTION) & (drifted > _DRIFT)
-        certain = (evidence <= _CONTRADICTION) & (drifted <= _DRIFT) & (least > _CONTRADICTION)
-        firing = _firing_around(pictures)
-        if firing is not None:
-            certain &= firing * np.ptp(np.asarray(pictures.after)) >= _SPIKES
-        return moving, certain
+    The first are those of `contradicted` for a motion of zero. The second are those where any motion by half a pixel
+    over the recording would contradict rest, with enough spikes to show it.
+    """
+    limits, by = settings.evidence, settings.comparison
+    likelihood, pixels = limits.contradiction_likelihood, limits.contradiction_pixels
+    after = np.asarray(pictures.after)
+    gain, distance, least = _score_test(pictures.drift_at_rest(by.presmoothing_pixels), after, settings)
+    moving = (gain > likelihood) & (distance > pixels)
+    certain = (gain <= likelihood) & (distance <= pixels) & (least > likelihood)
+    firing = pictures.firing_around(by.window_pixels)
+    if firing is not None:
+        certain &= np.asarray(firing) * np.ptp(after) >= limits.spikes_at_rest
+    return moving, certain
 
-    return pictures.once("at rest", found)
+
+def contradicts_rest(pictures: MotionFrames, settings: MotionSettings = DEFAULTS) -> bool:
+    """Whether more pixels contradict rest than are tolerated."""
+    return bool(at_rest(pictures, settings)[0].mean() > settings.evidence.tolerated_share_at_rest)
 
 
 def variance_along(
-    pictures: MotionFrames, motion: Motion, sharpness: float | int = 1.0, *, every: int = 1
+    pictures: MotionFrames, motion: Motion, sigma: float | int, *, every: int = 1
 ) -> Float[np.ndarray, "rows columns"]:
-    """Variance of the pictures along a motion, presmoothed by `sharpness` sensor pixels; with `every`, of one row and
-    column in so many."""
-    smoothed = pictures.presmoothed(sharpness)
-    return np.asarray(_variance(smoothed.picture, smoothed.after, motion.velocity, motion.acceleration, every))
+    """Variance, intensity², of the pictures along a motion after presmoothing by `sigma` sensor pixels, at each
+    `every`-th row and column."""
+    presmoothed = pictures.presmoothed(sigma)
+    return np.asarray(_variance(presmoothed, pictures.after, motion.velocity, motion.acceleration, every))
 
 
 @partial(jax.jit, static_argnames="every")
@@ -85,7 +82,7 @@ def _variance(
     acceleration: Float[Array, "2 h w"],
     every: int,
 ) -> Float[Array, "rows columns"]:
-    """`Drift.residual` over `Drift.seen`, in two thirds of the time."""
+    """`Drift.residual` over `Drift.seen`, in two thirds of the time that `drift` takes."""
     about = pictures[jnp.argmin(jnp.abs(after)), ::every, ::every]
 
     def place(k: Array) -> tuple[Corner, Array]:
@@ -103,118 +100,115 @@ def _variance(
     return jnp.maximum(squares - total**2 / jnp.maximum(seen, 1e-6), 0) / jnp.maximum(seen, 1)
 
 
-def typical_noise(pictures: MotionFrames, motion: Motion, sharpness: float | int = 1.0) -> float:
-    """Typical variance of a picture along a good motion."""
-    return float(np.median(variance_along(pictures, motion, sharpness))) + 1e-5
+def typical_noise(pictures: MotionFrames, motion: Motion, sigma: float | int) -> float:
+    """Median variance, intensity², of the pictures along a good motion, presmoothed by `sigma` sensor pixels."""
+    return float(np.median(variance_along(pictures, motion, sigma))) + 1e-5
 
 
-# Moments at which a point has to be in view for its counts to be compared, how much less they have to differ in all,
-# and in what share of the places they may differ more: up to 0.018 on pans, 0.054 of a dim clip in which a car does not
-# move with the rest.
-_MOMENTS, _LESS, _MORE = 3, 0.98, 0.02
+def counts_agree(pictures: MotionFrames, motion: Motion, settings: MotionSettings = DEFAULTS) -> bool:
+    """Whether the counts of spikes vary less along a motion of the whole scene than at rest, and more hardly anywhere;
+    true where they are unknown.
 
-
-def counts_agree(pictures: MotionFrames, motion: Motion) -> bool:
-    """Do the numbers of spikes along a motion of the whole scene differ less than those at rest, and more hardly
-    anywhere?
-
-    This is asked where pixels fire so seldom that the pictures, whose intervals reach over several moments, look as if
-    nothing moved: along the true velocity of dim pans they then differ more than at rest, and along half of it less,
-    while the counts' variance is 0.74 to 0.82 and 0.79 to 0.84 of that at rest (0.88 to 0.97 on clips).
+    A test for pixels that fire seldom. Their pictures, whose intervals reach over several moments, look as if nothing
+    moved: along the true velocity of dim pans they vary more than at rest, and along half of it less, while the counts'
+    variance is 0.74 to 0.82 and 0.79 to 0.84 of that at rest.
     """
-    counted = pictures.counted
-    if counted is None:
+    limits, by = settings.evidence, settings.comparison
+    counts, after = pictures.presmoothed_counts(by.presmoothing_pixels), pictures.after
+    if counts is None:
         return True
-    counts = pictures.once("counts", lambda: MotionFrames(counted(), pictures.after).presmoothed(1.0))
     fields = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    moving, resting = (drift(counts.picture, counts.after, jnp.ones_like(counts.after), m) for m in (fields, None))
-    # Of two moments nothing is left but noise; what is seen once agrees with itself.
-    seen = moving.seen >= _MOMENTS
+    moving, resting = (drift(counts, after, jnp.ones_like(after), each) for each in (fields, None))
+    # Two moments leave nothing but noise, and one has no variance.
+    seen = moving.seen >= limits.counted_moments
     along, still = (jnp.where(seen, now.residual / jnp.maximum(now.seen - 1, 1), 0) for now in (moving, resting))
-    worse = seen & (smooth(along - still, jnp.asarray(_WINDOW)) > 0)
-    return float(along.sum()) < _LESS * float(still.sum()) and float(worse.sum()) <= _MORE * float(seen.sum())
+    worse = seen & (smooth(along - still, jnp.asarray(by.window_pixels)) > 0)
+    less = float(along.sum()) < limits.counts_variance_ratio * float(still.sum())
+    return less and float(worse.sum()) <= limits.counts_worse_share * float(seen.sum())
 
 
-# Moments within so many frames make the picture that a motion carries to the others.
-_NEAR = 10.0
-# A squared error counts up to so many times the noise: what is hidden without anybody knowing says little more.
-_MISSED = 6.0
-# One picture in so many is predicted, and where work is to be skipped one row and column in so many of it: enough to
-# compare motions.
-_EVERY, _SPARSE = 3, 2
+class Prediction(NamedTuple):
+    """How well a motion predicts pictures from the key frame's, for some of the pictures.
 
-
-class Missed(NamedTuple):
-    """How well a motion predicts pictures from those near the key frame, for every third picture.
-
-    **Fields:** of every pixel or of one row and column in so many, `error` (n, rows, columns), squared, in units of the
-    noise, cut off; `seen` (n, rows, columns), how far the motion says that what a pixel shows is visible in the key
-    frame.
+    **Fields:** for all pixels, or those of a sparse grid: `residual` (n, rows, columns), squared, in units of
+    the noise variance, at most `cap`; `visible` (n, rows, columns) in [0, 1], how far the motion takes the point that a
+    pixel shows to be visible in the key frame.
     """
 
-    error: Float[np.ndarray, "n rows columns"]
-    seen: Float[np.ndarray, "n rows columns"]
+    residual: Float[np.ndarray, "n rows columns"]
+    visible: Float[np.ndarray, "n rows columns"]
+    cap: float
 
-    def part(self, rows: slice, columns: slice) -> "Missed":
-        """On some rows and columns."""
-        return Missed(self.error[:, rows, columns], self.seen[:, rows, columns])
+    def part(self, rows: slice, columns: slice) -> "Prediction":
+        """The prediction of these rows and columns."""
+        return Prediction(self.residual[:, rows, columns], self.visible[:, rows, columns], self.cap)
 
     @property
     def mean(self) -> float:
-        """How badly the motion predicts the pictures; what it says is hidden counts as missed."""
-        return float(np.mean(self.seen * self.error + (1 - self.seen) * _MISSED))
+        """Mean residual; points that the motion takes to be hidden count with the cap."""
+        return float(np.mean(self.visible * self.residual + (1 - self.visible) * self.cap))
 
 
-def missed(pictures: MotionFrames, motion: Motion, noise: float, *, sparse: bool = False) -> Missed:
-    """What a motion misses of the pictures, at every pixel or a sparse grid of them; `noise`: their typical variance
-    along a good motion."""
-    every = _SPARSE if sparse else 1
-    smoothed = pictures.presmoothed(1.0)
-    after = np.asarray(smoothed.after)
-    near = (np.abs(after) <= max(_NEAR, float(np.abs(after).min()))).astype(np.float32)
-    present = drift(smoothed.picture, after, near, (motion.velocity, motion.acceleration)).mean
-    position, visible = seen_at(motion, after[::_EVERY], every=every)
-    error, visible = _missed(smoothed.picture, position, visible, present, np.float32(noise), every)
-    return Missed(np.asarray(error), np.asarray(visible))
+def predict(
+    pictures: MotionFrames, motion: Motion, noise: float, *, sparse: bool = False, settings: MotionSettings = DEFAULTS
+) -> Prediction:
+    """The prediction of the pictures by a motion.
+
+    **Arguments:** `noise`: variance of the pictures along a good motion (`typical_noise`). `sparse`: only a sparse grid
+    of pixels is predicted.
+    """
+    by = settings.comparison
+    every = by.sparse_step if sparse else 1
+    presmoothed, after = pictures.presmoothed(by.presmoothing_pixels), np.asarray(pictures.after)
+    near = (np.abs(after) <= max(by.key_picture_frames, float(np.abs(after).min()))).astype(np.float32)
+    key_picture = drift(presmoothed, after, near, (motion.velocity, motion.acceleration)).mean
+    position, visible = key_frame_positions(
+        motion, after[:: by.picture_step], every=every, settings=settings.trajectory
+    )
+    residual, visible = _predicted(presmoothed, position, visible, key_picture, np.float32(noise), every, by)
+    return Prediction(np.asarray(residual), np.asarray(visible), by.residual_cap)
 
 
-@partial(jax.jit, static_argnames="every")
-def _missed(
+@partial(jax.jit, static_argnames=("every", "settings"))
+def _predicted(
     pictures: Float[Array, "m h w"],
     position: Float[Array, "n 2 rows columns"],
     visible: Float[Array, "n rows columns"],
-    present: Float[Array, "h w"],
+    key_picture: Float[Array, "h w"],
     noise: Float[Array, ""],
     every: int,
+    settings: ComparisonSettings,
 ) -> tuple[Float[Array, "n rows columns"], Float[Array, "n rows columns"]]:
-    height, width = present.shape
-    shown = pictures[::_EVERY, ::every, ::every]
+    """Capped squared residual and visibility of `Prediction`."""
+    height, width = key_picture.shape
+    shown = pictures[:: settings.picture_step, ::every, ::every]
 
     def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:
         picture, q = moment
         inside = (q[0] >= 0) & (q[1] >= 0) & (q[0] <= height - 1) & (q[1] <= width - 1)
-        error = (picture - bilinear(present[None], q[0], q[1])[0]) ** 2 / noise
-        return jnp.minimum(error, _MISSED), inside.astype(present.dtype)
+        residual = (picture - bilinear(key_picture[None], q[0], q[1])[0]) ** 2 / noise
+        return jnp.minimum(residual, settings.residual_cap), inside.astype(key_picture.dtype)
 
-    error, inside = jax.lax.map(one, (shown, position))
-    return error, visible * inside
-
-
-def _evidence(
-    pictures: MotionFrames, motion: Motion | None
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
-    """Score test of each window's velocity, or of rest: twice the gain in log-likelihood of the best one, how far that
-    goes, and what the gain would be, at least, if the best one went half a pixel elsewhere."""
-    smoothed = pictures.presmoothed(1.0)
-    after = np.asarray(smoothed.after)
-    along = None if motion is None else (motion.velocity, motion.acceleration)
-    now = drift(smoothed.picture, after, np.ones_like(after), along)
-    return _score(now, np.abs(after).max(), np.float32(_WINDOW))
+    residual, inside = jax.lax.map(one, (shown, position))
+    return residual, visible * inside
 
 
-@jax.jit
+def _score_test(
+    now: Drift, after: Float[np.ndarray, " n"], settings: MotionSettings
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Score test (Rao, 1948) of each window's velocity in a motion whose `Drift` is given.
+
+    Returns twice the gain in log-likelihood of the best velocity, its displacement from the motion over the recording
+    (sensor pixels), and the least gain that a displacement of `contradiction_pixels` would have.
+    """
+    window = np.float32(settings.comparison.window_pixels)
+    gain, distance, least = _score(now, np.abs(after).max(), window, settings.evidence.contradiction_pixels)
+    return np.asarray(gain), np.asarray(distance), np.asarray(least)
+
+
+@partial(jax.jit, static_argnames="pixels")
 def _score(
-    now: Drift, longest: Float[Array, ""], window: Float[Array, ""]
+    now: Drift, longest: Float[Array, ""], window: Float[Array, ""], pixels: float
 ) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
     noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
     samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
@@ -226,4 +220,4 @@ def _score(
     down, right = (d * pull[0] - b * pull[1]) / (a * d - b * b), (a * pull[1] - b * pull[0]) / (a * d - b * b)
     poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
     gain = pull[0] * down + pull[1] * right
-    return gain, jnp.sqrt(down**2 + right**2) * longest, poorest * (_DRIFT / longest) ** 2
+    return gain, jnp.sqrt(down**2 + right**2) * longest, poorest * (pixels / longest) ** 2

@@ -1,14 +1,15 @@
-"""What all motion estimates here share: short pictures along the recording, moved to the key frame and compared.
+"""`MotionFrames`: short pictures along the recording, which all motion estimators move to the key frame and compare.
 
 A recording is cut into stretches of a few frames; each gives a picture I_b at time τ_b from the key frame. With the
 right motion d, the pictures J_b(q) = I_b(q + d(q, τ_b)) all show the key frame, and agree. If the velocity is wrong by
 δ, they drift: J_b ≈ J̄ + τ_b ∇J̄·δ. So δ follows from the slope of J_b over τ_b, a regression over the whole recording
 (Gauss–Newton on the variance along the motion), where two playbacks would use two of its moments only. Times far from
-the key frame are taken in step by step: at 40,000 frames a second the near ones hardly move, and nothing has to be
-guessed.
+the key frame are included level by level: at 40,000 frames a second nothing moves far in the near ones, so that no
+first guess is needed.
 """
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
@@ -23,87 +24,133 @@ from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.sparse import sparse_pixels
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.motion.inversion import Corner, corner_of, in_turn, interpolated
+from scsr_opt.motion.settings import DEFAULTS, FrameSettings, MotionSettings
 
-Found = TypeVar("Found")
+Value = TypeVar("Value")
 
-# Standard deviations at which the Gaussian that pictures are presmoothed with is cut off. What is cut at 3 passes a
-# little of all frequencies: of an object (120×120, ×2) two layers then seemed to serve as well as three, and lost 1 dB.
-_TAIL = 4.0
+
+def _cached(method: Callable[["MotionFrames", float], Value]) -> Callable[["MotionFrames", float], Value]:
+    """`functools.cached_property` for a method with one number as argument: computed at the first call with it.
+
+    The value must follow from the fields and that number alone.
+    """
+
+    @functools.wraps(method)
+    def cached(self: "MotionFrames", number: float | int) -> Value:
+        values: dict[tuple[str, float], Any] = vars(self).setdefault("_cached_values", {})
+        key = (method.__name__, float(number))
+        if key not in values:
+            values[key] = method(self, float(number))
+        return values[key]
+
+    return cached
 
 
 @dataclass(frozen=True, eq=False)
 class MotionFrames:
-    """Pictures along the recording: `picture` (n, h, w), intensity; `after` (n,), frames from the key frame.
+    """Short pictures along a recording, by which motion is estimated.
 
-    `firing` (h, w), if known: spikes per frame, mean over the recording. No picture shows changes that are faster than
-    a pixel fires. `counted()` (n, h, w), if known: spikes per frame in each stretch, counted when they are asked for.
-    They are noisier than the pictures, whose intervals reach beyond a stretch, but what one stretch counts no other
-    does.
+    **Fields:**
+    - `picture`: (n, h, w), intensity.
+    - `after`: (n,), frames from the key frame.
+    - `firing`: (h, w), spikes per frame of each pixel, mean over the recording; None if unknown. No picture shows
+      changes that are faster than a pixel fires.
+    - `counted`: gives (n, h, w), spikes per frame in each stretch; None if unknown. Counts are noisier than `picture`,
+      whose intervals reach beyond a stretch, but two stretches never share a spike. They are needed rarely, so that
+      they are counted on demand.
+    - `cutoff`: standard deviations at which the Gaussian of `presmoothed` is cut off.
+    - `known`: pictures presmoothed by the widths that are its keys, sensor pixels, where these are known already.
+
+    The methods with one number as argument compute on demand and keep their result, which several stages use; it
+    follows from the fields alone.
     """
 
     picture: Float[Array, "n h w"]
     after: Float[Array, " n"]
     firing: Float[Array, "h w"] | None = None
     counted: Callable[[], Float[Array, "n h w"]] | None = None
-    _known: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
-    _presmoothed: dict[float, "MotionFrames"] = field(default_factory=dict, init=False, repr=False)
+    cutoff: float = DEFAULTS.comparison.presmoothing_cutoff_sigmas
+    known: Mapping[float, Float[Array, "n h w"]] = field(default_factory=dict)
 
-    def presmoothed(self, sigma: float | int) -> "MotionFrames":
-        """The pictures blurred by a Gaussian of `sigma` sensor pixels: fine texture that has moved far is not mistaken.
+    @_cached
+    def presmoothed(self, sigma: float) -> Float[Array, "n h w"]:
+        """The pictures blurred by a Gaussian of `sigma` sensor pixels, so that fine texture that has moved far is not
+        mistaken for its neighbour."""
+        if sigma in self.known:
+            return self.known[sigma]
+        return smooth(self.picture, jnp.asarray(sigma, jnp.float32), jnp.asarray(self.cutoff))
 
-        Made once for each `sigma`: nearly everything that looks at pictures asks for the same few."""
-        if sigma not in self._presmoothed:
-            blurred = smooth(self.picture, jnp.asarray(sigma, jnp.float32), jnp.asarray(_TAIL))
-            self._presmoothed[sigma] = MotionFrames(blurred, self.after, self.firing)
-        return self._presmoothed[sigma]
+    @_cached
+    def drift_at_rest(self, sigma: float) -> "Drift":
+        """`drift` without motion, of all pictures presmoothed by `sigma` sensor pixels."""
+        after = np.asarray(self.after)
+        return drift(self.presmoothed(sigma), after, np.ones_like(after), None)
 
-    def once(self, what: str, found: Callable[[], Found]) -> Found:
-        """What is `found` about these pictures, the first time that it is asked for."""
-        if what not in self._known:
-            self._known[what] = found()
-        return self._known[what]
+    @_cached
+    def presmoothed_counts(self, sigma: float) -> Float[Array, "n h w"] | None:
+        """Spikes per frame in each stretch, blurred by a Gaussian of `sigma` sensor pixels; None if unknown."""
+        if self.counted is None:
+            return None
+        return smooth(self.counted(), jnp.asarray(sigma, jnp.float32), jnp.asarray(self.cutoff))
+
+    @_cached
+    def firing_around(self, window: float) -> Float[Array, "h w"] | None:
+        """Spikes per frame, averaged by a Gaussian of `window` sensor pixels; None if unknown."""
+        return None if self.firing is None else smooth(self.firing, jnp.asarray(window))
 
     def from_moment(self, after: float) -> "MotionFrames":
-        """The same pictures, with times counted from another moment, `after` so many frames."""
-        return MotionFrames(self.picture, self.after - after, self.firing, self.counted)
+        """These pictures with times counted from the moment that is `after` frames from the key frame."""
+        return MotionFrames(self.picture, self.after - after, self.firing, self.counted, self.cutoff, self.known)
 
-    def part(self, rows: slice, columns: slice) -> "MotionFrames":
-        """The pictures of a part of the sensor."""
+    def part(self, rows: slice, columns: slice, presmoothed: tuple[float, ...] = ()) -> "MotionFrames":
+        """The pictures of a part of the sensor.
+
+        **Arguments:** `presmoothed`: widths, sensor pixels, whose presmoothed pictures are cut out of those of the
+        whole sensor: the caller has computed them already, and they are exact at the part's border.
+        """
         height, width = self.picture.shape[1:]
         if len(range(height)[rows]) == height and len(range(width)[columns]) == width:
             return self
         firing = None if self.firing is None else self.firing[rows, columns]
         counted = self.counted
         of_part = None if counted is None else lambda: counted()[:, rows, columns]
-        part = MotionFrames(self.picture[:, rows, columns], self.after, firing, of_part)
-        part._presmoothed.update({sigma: found.part(rows, columns) for sigma, found in self._presmoothed.items()})
-        return part
+        known = {sigma: self.presmoothed(sigma)[:, rows, columns] for sigma in presmoothed}
+        return MotionFrames(self.picture[:, rows, columns], self.after, firing, of_part, self.cutoff, known)
 
 
-def stretches(
-    spikes: Shaped[np.ndarray, "T h w"], *, key: int, white_rate: float | int = 0.6, most: int = 25
+def motion_frames(
+    spikes: Shaped[np.ndarray, "T h w"],
+    *,
+    key: int,
+    white_rate: float | int = 0.6,
+    settings: MotionSettings = DEFAULTS,
 ) -> MotionFrames:
-    """The recording as at most `most` pictures of equal length (about four frames or more), edge to edge.
+    """The `MotionFrames` of a recording: stretches of equal length, about four frames or more, edge to edge.
 
-    The ends of the recording, where many pixels have not fired yet or do not fire again, are left out (a fifth of it
-    each at most): what fills such gaps is the same light at other times, which stands still, and pulls a velocity
-    towards zero by about 1 % if it takes part, and by 5 % by day, up to all of it in dim light, where the key frame is
-    at that end. So the key frame itself may be among what is left out.
+    The ends of the recording, where many pixels have not fired yet or do not fire again, are left out: such gaps are
+    filled with light of other times, which stands still. Included, they would pull a velocity towards zero by about 1 %
+    and, where the key frame is at that end, by 5 % by day, up to all of it in dim light. So the key frame itself may be
+    left out.
+
+    **Arguments:** `key`: the key frame, counted from the first frame. `white_rate`: spikes per frame of a pixel at
+    intensity 1.
     """
-    frames = spikes.shape[0]
-    begin, end = _measured(spikes)
-    # By the length of the recording alone, so that compiled code is met again whatever is left out at the ends.
-    number = min(max(frames // 4, 2), most) if frames > 2 else 1
+    frames, limits = spikes.shape[0], settings.frames
+    begin, end = _measured(spikes, limits)
+    # By the length of the recording alone, so that one compiled program serves whatever is left out at the ends.
+    most = limits.most_pictures
+    number = min(max(frames // limits.frames_per_picture, 2), most) if frames > 2 else 1
     edges = np.linspace(begin, end, number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
     firing = spike_counts(spikes).astype(np.float32) / np.float32(frames)
-    known = (jnp.asarray(each, jnp.float32) for each in (rates, middle, firing))
-    return MotionFrames(*known, counted=lambda: _counted(spikes, edges))
+    picture, after, firing = (jnp.asarray(each, jnp.float32) for each in (rates, middle, firing))
+    cutoff = settings.comparison.presmoothing_cutoff_sigmas
+    return MotionFrames(picture, after, firing, lambda: _counted(spikes, edges), cutoff)
 
 
 def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"]) -> Float[Array, "n h w"]:
-    """Spikes per frame between whole frames near the edges."""
+    """Spikes per frame in each stretch, between the whole frames nearest to its edges."""
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
     stretched = pairwise(whole.tolist())
@@ -111,31 +158,28 @@ def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edg
     return jnp.asarray(counts, jnp.float32) / jnp.asarray(np.diff(whole), jnp.float32)[:, None, None]
 
 
-# The share of the pixels that must have fired at the first moment that is used, and must still fire at the last one.
-_FIRED = 0.85
-
-
-def _measured(spikes: Shaped[np.ndarray, "T h w"]) -> tuple[int, int]:
-    """First and last frame between which most pixels are measured between two spikes."""
+def _measured(spikes: Shaped[np.ndarray, "T h w"], settings: FrameSettings) -> tuple[int, int]:
+    """First and last frame between which most pixels lie between two of their spikes."""
     frames = spikes.shape[0]
-    if frames < 16:
+    if frames < settings.trimmed_from_frames:
         return 0, frames - 1
     some = SpikeTimes.of(sparse_pixels(spikes, 2))
     fired = some.count > 0
     if not fired.any():
         return 0, frames - 1
     gaps = some.first[fired], frames - 1 - some.last[fired]
-    early, late = (int(np.quantile(gap, _FIRED, method="higher")) for gap in gaps)
-    return min(early, frames // 5), frames - 1 - min(late, frames // 5)
+    share, most = settings.measured_pixels_share, int(settings.trimmed_share * frames)
+    early, late = (int(np.quantile(gap, share, method="higher")) for gap in gaps)
+    return min(early, most), frames - 1 - min(late, most)
 
 
 def along(
     after: Float[Array, ""], velocity: Float[Array, "2 h w"], acceleration: Float[Array, "2 h w"], *, every: int = 1
 ) -> tuple[Corner, Float[Array, "rows columns"]]:
-    """Where a motion (sensor pixels per frame and per frame²) takes what each pixel of the key frame shows, `after` so
-    many frames, and 1 where it is in view then, 0 where it is not; with `every`, of one row and column in so many."""
+    """Positions of the key frame's points `after` frames later, along a motion (sensor pixels per frame and per
+    frame²), and 1 where the position is in view, else 0; for each `every`-th row and column."""
     height, width = velocity.shape[1:]
-    # Rows and columns apart: as one array of places, a pass took five times as long.
+    # Rows and columns apart: as one array of positions, a pass took five times as long.
     (down, right), (down_more, right_more) = (of[:, ::every, ::every] for of in (velocity, acceleration))
     row = jnp.arange(0, height, every, dtype=after.dtype)[:, None] + after * down + 0.5 * after**2 * down_more
     column = jnp.arange(0, width, every, dtype=after.dtype)[None] + after * right + 0.5 * after**2 * right_more
@@ -144,11 +188,14 @@ def along(
 
 
 class Drift(NamedTuple):
-    """The pictures along a motion, reduced to what an update of the motion needs.
+    """Regression of the pictures J_b along a motion over time τ_b, for each point q of the key frame.
 
-    **Fields:** `mean` (h, w) J̄ and its gradient `slope` (2, h, w); for the regressors τ and τ²/2, taken without their
-    mean over the moments at which q is in view: `change` (2, h, w) = Σ_b (basis)(J_b − J̄), `spread` (2, 2, h, w) =
-    Σ_b (basis)(basis)ᵀ; `residual` (h, w) = Σ_b (J_b − J̄)², and `seen` (h, w), the number of moments.
+    **Fields:**
+    - `mean`: (h, w), J̄ over the moments at which q is in view; `slope`: (2, h, w), its gradient.
+    - `change`: (2, h, w), Σ_b (basis)(J_b − J̄), where the basis is τ and τ²/2 without their mean over these moments.
+    - `spread`: (2, 2, h, w), Σ_b (basis)(basis)ᵀ.
+    - `residual`: (h, w), Σ_b (J_b − J̄)².
+    - `seen`: (h, w), the number of these moments.
     """
 
     mean: Float[Array, "h w"]
@@ -166,8 +213,11 @@ def drift(
     taking_part: Float[Array, " n"],
     motion: tuple[Float[Array, "2 h w"], Float[Array, "2 h w"]] | None,
 ) -> Drift:
-    """`Drift` of the pictures along a motion, (velocity, acceleration), or at rest. Moments with `taking_part` 0 are
-    left out."""
+    """`Drift` of the pictures along a motion.
+
+    **Arguments:** `after`: frames from the key frame. `taking_part`: 1, or 0 for moments that are left out. `motion`:
+    velocity and acceleration, or None at rest.
+    """
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
 
@@ -188,7 +238,7 @@ def drift(
         values = [weighted, weighted * tau, weighted * (tau**2 / 2), weighted * value]
         return [total + more for total, more in zip(sums, powers + values, strict=True)]
 
-    # Before the first moment that takes part, and after the last, nothing is looked up.
+    # From the first moment that takes part to the last one.
     numbers = jnp.arange(after.size)
     begin = jnp.min(jnp.where(taking_part != 0, numbers, after.size))
     end = jnp.max(jnp.where(taking_part != 0, numbers + 1, 0))
@@ -213,45 +263,45 @@ def drift(
     )
 
 
-# The widest window that `smooth` is asked for, in sensor pixels, and how many pixels of it are added in one pass.
-_REACH, _AT_ONCE = 18, 16
+# Largest reach of `smooth`, pixels, and how many taps are added in one pass (of its loop, to save memory traffic).
+_REACH, _TAPS_AT_ONCE = 18, 16
 
 
 @jax.jit
 def smooth(
     values: Float[Array, "... h w"], sigma: Float[Array, ""], cut: Float[Array, ""] | float = 3.0
 ) -> Float[Array, "... h w"]:
-    """Gaussian smoothing over the last two axes, σ cut off at `cut` σ (18 pixels at most); beyond the border its values
-    continue.
+    """Gaussian smoothing over the last two axes by a standard deviation of `sigma` pixels, cut off at `cut` of these
+    and at 18 pixels; beyond the border its values continue.
 
-    Both are data, not part of the compiled code: one compilation serves all windows.
+    `sigma` and `cut` are data and not part of the compiled program: one program serves all windows.
     """
     sigma = sigma.astype(values.dtype)
     reach = jnp.minimum(jnp.ceil(jnp.asarray(cut, values.dtype) * sigma).astype(jnp.int32), _REACH)
     # The last pass may begin at the last tap.
-    offsets = jnp.arange(2 * _REACH + _AT_ONCE, dtype=jnp.int32) - _REACH
+    offsets = jnp.arange(2 * _REACH + _TAPS_AT_ONCE, dtype=jnp.int32) - _REACH
     distance = offsets.astype(values.dtype) / sigma
     taps = jnp.where(jnp.abs(offsets) <= reach, jnp.exp(-0.5 * distance**2), 0)
     taps = taps / taps.sum()
     for axis in (values.ndim - 2, values.ndim - 1):
         border = [(0, 0)] * values.ndim
-        border[axis] = (_REACH, _REACH + _AT_ONCE - 1)
+        border[axis] = (_REACH, _REACH + _TAPS_AT_ONCE - 1)
         wide = jnp.pad(values, border, mode="edge")
         length = values.shape[axis]
 
         def add(k: Array, total: Array, wide: Array = wide, axis: int = axis, length: int = length) -> Array:
-            first = _REACH - reach + k * _AT_ONCE
-            part = jax.lax.dynamic_slice_in_dim(wide, first, length + _AT_ONCE - 1, axis)
-            some = jax.lax.dynamic_slice_in_dim(taps, first, _AT_ONCE)
-            shifted = (jax.lax.slice_in_dim(part, j, j + length, axis=axis) for j in range(_AT_ONCE))
+            first = _REACH - reach + k * _TAPS_AT_ONCE
+            part = jax.lax.dynamic_slice_in_dim(wide, first, length + _TAPS_AT_ONCE - 1, axis)
+            some = jax.lax.dynamic_slice_in_dim(taps, first, _TAPS_AT_ONCE)
+            shifted = (jax.lax.slice_in_dim(part, j, j + length, axis=axis) for j in range(_TAPS_AT_ONCE))
             return total + sum((some[j] * each for j, each in enumerate(shifted)), start=jnp.zeros_like(total))
 
-        values = jax.lax.fori_loop(0, -(-(2 * reach + 1) // _AT_ONCE), add, jnp.zeros_like(values))
+        values = jax.lax.fori_loop(0, -(-(2 * reach + 1) // _TAPS_AT_ONCE), add, jnp.zeros_like(values))
     return values
 
 
 def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:
-    """The pictures with all but the good pixels replaced by a Gaussian mean of good ones around them."""
+    """The pictures with pixels that are not `good`, (h, w), replaced by a Gaussian mean of good ones around them."""
     weight = jnp.asarray(good, pictures.dtype)
     reach = jnp.asarray(1.0)
     nearby = smooth(pictures * weight[None], reach) / jnp.maximum(smooth(weight, reach), 1e-6)[None]

@@ -1,11 +1,13 @@
-"""Motion of the whole scene with few numbers: translation, affine or perspective, with acceleration.
+"""Motion of a scene or region with few numbers: translation, affine or perspective, with acceleration.
 
-The velocity is a sum of generators, fields that are fixed: two shifts, four linear fields (affine motion), and two
-quadratic ones (the generators of a homography: a plane that tilts). The numbers that the recording does not support
-stay 0: a richer model is taken only where it explains more than the noise would (`_asked_for`), or where a fit starts
+The velocity is a weighted sum of generators, fixed fields: two shifts, four linear fields (affine motion), and two
+quadratic ones (the generators of a homography: a plane that tilts). Weights that the recording does not support stay 0:
+a richer model is taken only where it explains more than noise would (score test, `_supported`), or where a fit starts
 from one.
 """
 
+from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,38 +18,17 @@ from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.inversion import Corner, bilinear, corner_of, in_turn
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings, ParametricSettings
 from scsr_opt.motion.trajectory import Motion
 
-# (frames from the key frame that take part, presmoothing in sensor pixels, most Gauss–Newton steps): from near and
-# blurred to everything and sharp.
-_SCHEDULE = ((8, 2.5, 10), (16, 1.5, 6), (32, 1.2, 5), (np.inf, 1.0, 12))
-# Steps end when they move nothing by more than this at the farthest moment, in units of the presmoothing (the last ones
-# go on to a tenth of it).
-_SMALL = 0.02
-
-# A start that varies by less than this over pixels and moments (sensor pixels) is a translation.
-_VARIES = 0.1
-
-# In a region that was found by contradicting something, a good part may belong to other surfaces: the motion is that of
-# the share that agrees best, and the start is trusted enough to leave out the nearest times.
-_MINORITY = 0.2
-
-# Where a quarter of the points has led, all of them are looked at for so many times fewer steps.
-_FEWER = 3
-
-# Points of the key frame that are looked at. Presmoothed pictures change little from pixel to pixel: a sixth of a
-# sensor of 400×250 says as much as all of it. There are few lengths, so that what was compiled once serves for each
-# picture and region: these two, and four times the first.
-_LEAST_POINTS, _POINTS = 1024, 16384
-# The picture is cut into so many blocks each way, whose votes tell how certain a number is.
-_BLOCKS = 16
-
-_SHIFTS, _LINEAR, _QUADRATIC = slice(0, 2), slice(2, 6), slice(6, 8)
+# The generators of a homography, and which of them are shifts, linear and quadratic in position.
 _GENERATORS = 8
+_SHIFTS, _LINEAR, _QUADRATIC = slice(0, 2), slice(2, 6), slice(6, 8)
 
 
 def generators(position: Float[np.ndarray, "2 *n"], height: int, width: int) -> Float[np.ndarray, "8 2 *n"]:
-    """The fields whose sums are the velocities considered, at (row, column) of a `height` × `width` picture.
+    """The generators, velocity fields whose weighted sums are the motions considered, at (row, column) of a picture of
+    `height` × `width` pixels.
 
     With ρ, γ the row and column from the picture's middle over its longer side: (1, 0), (0, 1); (ρ, 0), (γ, 0), (0, ρ),
     (0, γ); (ρ², ργ), (ργ, γ²).
@@ -69,89 +50,127 @@ def parametric(
     where: Bool[np.ndarray, "h w"] | None = None,
     fitted: bool = False,
     sparse: bool = False,
+    settings: MotionSettings = DEFAULTS,
 ) -> Motion:
-    """One velocity (and acceleration) for the whole scene, or one that varies linearly or as a tilting plane's.
+    """One velocity and acceleration for the whole scene, or fields of them that are affine or those of a tilting plane.
 
-    Minimises the variance of the pictures along the motion, weighted down where it stays high (another motion,
-    occlusion) and where the scene moves by a pixel or more from spike to spike or fires only a few times (what passes
-    from spike to spike looks as if it stood still), by Gauss–Newton from near times to far ones. 2 numbers for a
-    translation, 6 for affine motion, 8 for perspective motion, twice that with the acceleration that is fitted last;
-    each of these only where the recording asks for it, and no more than `affine` and `perspective` allow. `start` gives
-    a first velocity: its mean, or where it varies the affine one nearest to it, whose numbers are then all fitted. With
-    `where`, only these pixels of the key frame are looked at, and perspective, for which a region is too small, is left
-    out; the motion is still given everywhere. Where `start` was itself `fitted`, to other pixels, it is only fitted to
-    all moments once more, at up to four times as many points. `sparse`: most of the way is gone with a quarter of the
-    points.
+    Minimises the variance of the pictures along the motion by Gauss–Newton, from near times to far ones. Points have
+    less weight where the variance stays high (another motion, occlusion), and where the scene moves by a pixel or more
+    from spike to spike or fires only a few times (what passes between two spikes looks as if it stood still). The
+    motion has 2 numbers for a translation, 6 if affine, 8 if perspective, and twice as many with the acceleration,
+    which is fitted last; each group only where a score test supports it.
+
+    **Arguments:**
+    - `affine`, `perspective`: whether the motion may be so.
+    - `start`: a first velocity: its mean, or, where it varies, the affine field nearest to it, whose numbers are then
+      all fitted.
+    - `where`: the key frame's pixels to which the motion is fitted; all if None. A region is too small for
+      perspective, which is then left out. The motion is given everywhere.
+    - `fitted`: `start` was fitted to other pixels before: it is fitted to all moments once, at up to four times as many
+      points.
+    - `sparse`: whether most steps are done with a quarter of the points.
+
+    **Returns:** the `Motion`, of confidence 1.
     """
     height, width = pictures.picture.shape[1:]
-    points = _points(height, width, where, pictures.firing, every=fitted)
-    few = points.quarter if sparse and points.region.sum() > 3 * _LEAST_POINTS else None
-    numbers = np.zeros((2, _GENERATORS), np.float32)
-    active = np.zeros((2, _GENERATORS), bool)
-    active[0, _SHIFTS] = True
+    options, after = settings.parametric, np.asarray(pictures.after)
+    points = _points(height, width, where, pictures.firing, all_points=fitted, settings=options)
+    few = points.quarter if sparse and points.region.sum() > 3 * options.least_points else None
     fields = generators(np.mgrid[0:height, 0:width].astype(np.float32), height, width)
-    if start is not None:
-        here = np.ones((height, width), bool) if where is None else where
-        known, basis = start.velocity[:, here].reshape(2, -1), fields[:, :, here].reshape(_GENERATORS, -1)
-        varies = float(np.ptp(known, axis=1).max() * np.abs(np.asarray(pictures.after)).max()) if known.size else 0.0
-        active[0, _LINEAR] = affine and varies > _VARIES
-        numbers[0, active[0]] = np.linalg.lstsq(basis[active[0]].T, known.ravel(), rcond=None)[0]
-    schedule, majority = (_SCHEDULE, 0.5) if where is None else (_SCHEDULE[1:], _MINORITY)
-    schedule = schedule[-1:] if fitted else schedule
-    after = np.asarray(pictures.after)
-    for reach, sigma, steps in schedule:
-        near = np.flatnonzero(np.abs(after) <= reach)
-        if near.size < 2:  # one picture shows no motion
-            continue
-        begin, end = int(near[0]), int(near[-1]) + 1
-        last = reach == np.inf
-        blurred = pictures.presmoothed(sigma).picture
-        looked_at = [(points, steps)]
-        # Near times only give a start to the far ones, where some of the points lead most of the way.
+    longest = float(np.abs(after).max())
+    numbers, active = _start_numbers(fields, start, where, affine=affine, longest=longest, settings=options)
+    share = options.agreeing_share if where is None else options.agreeing_share_region
+    for level in _levels(after, whole=where is None, last_only=fitted, settings=settings):
+        blurred = pictures.presmoothed(level.sigma)
+        fits = [(points, level.steps)]
+        # Near times only give a start for far ones, and some of the points go most of the way.
         if few is not None:
-            looked_at = [(few, steps), (points, steps // _FEWER)] if last else [(few, steps)]
+            fits = [(few, level.steps)] + ([(points, level.steps // options.sparse_step_divisor)] if level.last else [])
 
         def fit(
             numbers: Float[np.ndarray, "2 8"],
             active: Bool[np.ndarray, "2 8"],
+            level: _Level = level,
             blurred: Float[Array, "n h w"] = blurred,
-            interval: tuple[int, int] = (begin, end),
-            looked_at: list[tuple[_Points, int]] = looked_at,
-            enough: float = _SMALL * sigma * (0.1 if last else 1.0),
-        ) -> tuple[Float[np.ndarray, "2 8"], "_Votes"]:
+            fits: list[tuple[_Points, int]] = fits,
+        ) -> tuple[Float[np.ndarray, "2 8"], _Equations]:
             found = numbers
-            for some, most in looked_at:
-                found, votes = _fit(
-                    blurred, pictures.after, np.array(interval, np.int32), some, found, active,
-                    np.int32(most), np.float32(enough), np.float32(majority),
-                )  # fmt: skip
-            return np.asarray(found), votes
+            for some, steps in fits:
+                limits = _Limits(np.int32(steps), np.float32(level.tolerance), np.float32(share))
+                found, equations = _fit(blurred, pictures.after, level.interval, some, found, active, limits, options)
+            return np.asarray(found), equations
 
-        numbers, votes = fit(numbers, active)
+        numbers, equations = fit(numbers, active)
         richer = [(0, _LINEAR)] if affine else []
-        richer += [(0, _QUADRATIC)] if affine and perspective and last and where is None else []
+        richer += [(0, _QUADRATIC)] if affine and perspective and level.last and where is None else []
         for order, group in richer:
-            if not active[order, group].any() and _asked_for(votes, active, (order, group)):
+            if not active[order, group].any() and _supported(equations, active, (order, group), options):
                 active[order, group] = True
-                numbers, votes = fit(numbers, active)
-        if last and after.size >= 4 and _asked_for(votes, active, (1, active[0])):
+                numbers, equations = fit(numbers, active)
+        if level.last and after.size >= 4 and _supported(equations, active, (1, active[0]), options):
             active[1] = active[0]
-            numbers, votes = fit(numbers, active)
+            numbers, equations = fit(numbers, active)
     velocity, acceleration = np.einsum("op,pchw->ochw", numbers, fields)
     return Motion(velocity, acceleration, np.ones((height, width), np.float32))
 
 
-# Sensor pixels over which the rate of firing is averaged, and the least one that is told from none.
-_AROUND, _SELDOM = 2.0, 1e-3
-# Intervals between spikes that a fit's pictures have to span for a point to count half. With few of them, several
-# pictures show the same interval.
-_INTERVALS = 6.0
+def _start_numbers(
+    fields: Float[np.ndarray, "8 2 h w"],
+    start: Motion | None,
+    where: Bool[np.ndarray, "h w"] | None,
+    *,
+    affine: bool,
+    longest: float,
+    settings: ParametricSettings,
+) -> tuple[Float[np.ndarray, "2 8"], Bool[np.ndarray, "2 8"]]:
+    """Numbers of velocity and acceleration nearest to a start, and which of them are fitted."""
+    numbers, active = np.zeros((2, _GENERATORS), np.float32), np.zeros((2, _GENERATORS), bool)
+    active[0, _SHIFTS] = True
+    if start is not None:
+        here = np.ones(fields.shape[2:], bool) if where is None else where
+        known, basis = start.velocity[:, here].reshape(2, -1), fields[:, :, here].reshape(_GENERATORS, -1)
+        varies = float(np.ptp(known, axis=1).max() * longest) if known.size else 0.0
+        active[0, _LINEAR] = affine and varies > settings.varying_pixels
+        numbers[0, active[0]] = np.linalg.lstsq(basis[active[0]].T, known.ravel(), rcond=None)[0]
+    return numbers, active
+
+
+class _Level(NamedTuple):
+    """A level of the coarse-to-fine search: the `interval` of pictures that take part, first to last (exclusive); their
+    presmoothing `sigma`, sensor pixels; Gauss–Newton `steps` at most; the `tolerance`, sensor pixels at the farthest
+    moment, at which these end; whether it is the `last` one."""
+
+    interval: Int[np.ndarray, " 2"]
+    sigma: float
+    steps: int
+    tolerance: float
+    last: bool
+
+
+def _levels(
+    after: Float[np.ndarray, " n"], *, whole: bool, last_only: bool, settings: MotionSettings
+) -> Iterator[_Level]:
+    """The levels that have two pictures or more; without the nearest times if not for the `whole` scene, where a start
+    is known."""
+    options, reaches = settings.parametric, (*settings.comparison.near_times_frames, np.inf)
+    levels = list(zip(reaches, options.presmoothing_pixels, options.most_steps, strict=True))
+    for reach, sigma, steps in levels[-1:] if last_only else levels if whole else levels[1:]:
+        near = np.flatnonzero(np.abs(after) <= reach)
+        if near.size < 2:
+            continue
+        interval = np.array((int(near[0]), int(near[-1]) + 1), np.int32)
+        last = reach == np.inf
+        tolerance = options.step_tolerance * sigma * (options.last_tolerance_ratio if last else 1.0)
+        yield _Level(interval, sigma, steps, tolerance, last)
 
 
 class _Points(NamedTuple):
-    """Where in the key frame is looked: `position` (2, n), between pixels, where the slope of bilinear interpolation is
-    that of both sides; `fields` (8, 2, n), the generators there; `block`; `region` 1, or 0 where an entry only pads;
-    `interval`, frames from spike to spike, 0 where that is not taken into account."""
+    """Points of the key frame at which pictures are compared.
+
+    **Fields:** `position` (2, n), halfway between pixels, where the slope of bilinear interpolation is that of both
+    sides; `fields` (8, 2, n), the generators there; `block`, the number of the picture's block; `region` 1, or 0 for an
+    entry that only pads; `interval`, frames from spike to spike, 0 where these are not taken into account.
+    """
 
     position: Float[np.ndarray, "2 n"]
     fields: Float[np.ndarray, "8 2 n"]
@@ -161,7 +180,7 @@ class _Points(NamedTuple):
 
     @property
     def quarter(self) -> "_Points":
-        """Every fourth of them."""
+        """Every fourth point."""
         return _Points(*(of[..., ::4] for of in self))
 
 
@@ -171,99 +190,109 @@ def _points(
     where: Bool[np.ndarray, "h w"] | None,
     firing: Float[np.ndarray | Array, "h w"] | None,
     *,
-    every: bool = False,
+    all_points: bool = False,
+    settings: ParametricSettings,
 ) -> _Points:
-    """Where to look: at a quarter of the points or more, spread evenly, or at `every` one; at most at `_POINTS`."""
+    """Points spread evenly over the pixels `where`: a quarter of them or more, or `all_points`; at most `most_points`.
+    `firing`: spikes per frame."""
     inner = np.ones((height - 1, width - 1), bool) if where is None else where[:-1, :-1]
     row, column = np.nonzero(inner)
-    size = _LEAST_POINTS
-    while (size if every else 4 * size - 1) < min(row.size, _POINTS):
+    size = settings.least_points
+    while (size if all_points else 4 * size - 1) < min(row.size, settings.most_points):
         size *= 4
     # Spread evenly, whatever their number (the additive recurrence by powers of the plastic number, Roberts 2018).
-    # Points that lie alike in a mirrored picture were tried: one still in five lost 1 dB (docs/decisions/0001).
+    # Points that are symmetric in a mirrored picture lost 1 dB on one still in five (docs/decisions/0001).
     if row.size > size:
         chosen = (row * 0.7548776662 + column * 0.5698402910) % 1 < size / row.size
         row, column = row[chosen], column[chosen]
     row, column = row[:size], column[:size]
+    blocks = settings.blocks_per_side
 
     def block(of: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        return (of - of.min(initial=0)) * _BLOCKS // max(int(np.ptp(of)) + 1 if of.size else 1, 1)
+        first, extent = (int(of.min()), int(np.ptp(of)) + 1) if of.size else (0, 1)
+        return (of - first) * blocks // extent
 
     pad = (0, size - row.size)
-    row, column, block_of = (np.pad(v, pad) for v in (row, column, block(row) * _BLOCKS + block(column)))
+    row, column, block_of = (np.pad(v, pad) for v in (row, column, block(row) * blocks + block(column)))
     position = np.stack([row, column]).astype(np.float32) + np.float32(0.5)
     region = np.pad(np.ones(size - pad[1], np.float32), pad)
     interval = np.zeros(size, np.float32)
-    # Not in a region: it may hold several surfaces, and how often they fire says which, not how well it is seen.
+    # Not in a region: it may hold several surfaces, and the rate of firing then says which, not how well it is seen.
     if firing is not None and where is None:
-        around = gaussian_filter(np.asarray(firing), _AROUND, mode="nearest")[row, column]
-        interval = 1 / np.maximum(around, _SELDOM)
+        around = gaussian_filter(np.asarray(firing), settings.firing_window_pixels, mode="nearest")[row, column]
+        interval = 1 / np.maximum(around, settings.least_firing_rate)
     return _Points(position, generators(position, height, width), block_of.astype(np.int32), region, interval)
 
 
-def moves_as_one(pictures: MotionFrames) -> bool:
-    """Does the recording ask for an affine motion of the whole scene in place of rest?
+def shows_global_motion(pictures: MotionFrames, settings: MotionSettings = DEFAULTS) -> bool:
+    """Whether the recording supports an affine motion of the whole scene against rest.
 
-    A score test (`_asked_for`) without a fit. All pixels speak together, so that it hears what is far too slow for any
-    of them alone to contradict rest: a pan by 0.15 sensor pixels over 101 frames by day.
+    A score test without a fit. All pixels together detect motion that is far too slow for any one of them to contradict
+    rest: a pan by 0.15 sensor pixels over 101 frames by day.
     """
     _, height, width = pictures.picture.shape
+    options = settings.parametric
     after, none = np.asarray(pictures.after), np.zeros((2, _GENERATORS), bool)
     if after.size < 2:  # one picture shows no motion
         return False
-    _, votes = _fit(
-        pictures.presmoothed(_SCHEDULE[-1][1]).picture, pictures.after, np.array((0, after.size), np.int32),
-        _points(height, width, None, pictures.firing), np.zeros(none.shape, np.float32), none,
-        np.int32(0), np.float32(0), np.float32(0.5),
+    _, equations = _fit(
+        pictures.presmoothed(options.presmoothing_pixels[-1]), pictures.after, np.array((0, after.size), np.int32),
+        _points(height, width, None, pictures.firing, settings=options), np.zeros(none.shape, np.float32), none,
+        _Limits(np.int32(0), np.float32(0), np.float32(options.agreeing_share)), options,
     )  # fmt: skip
-    return _asked_for(votes, none, (0, slice(_SHIFTS.start, _LINEAR.stop)))
+    return _supported(equations, none, (0, slice(_SHIFTS.start, _LINEAR.stop)), options)
 
 
-class _Votes(NamedTuple):
-    """At the end of a fit, over all numbers considered: `matrix` of the normal equations, and their right-hand side
-    block by block, `pull`. Order: velocity's generators, then acceleration's."""
+class _Equations(NamedTuple):
+    """Normal equations at the end of a fit, over all numbers, velocity's generators, then acceleration's: the `matrix`,
+    and the right-hand side (negative gradient) of each block of the picture."""
 
     matrix: Float[Array, "16 16"]
-    pull: Float[Array, "blocks 16"]
+    gradients: Float[Array, "blocks 16"]
 
 
-# The likelihood of a false alarm is that of a χ² value above this per number (p < 10⁻⁴ for 4 numbers).
-_ASKED = 7.5
-
-
-def _asked_for(
-    votes: _Votes, active: Bool[np.ndarray, "2 8"], group: tuple[int, slice | Bool[np.ndarray, " 8"]]
+def _supported(
+    equations: _Equations,
+    active: Bool[np.ndarray, "2 8"],
+    group: tuple[int, slice | Bool[np.ndarray, " 8"]],
+    settings: ParametricSettings,
 ) -> bool:
-    """Would more numbers explain more than noise does? Score test (Rao, 1948), robust to noise that is not white.
+    """Whether a `group` of more numbers explains more than noise does: a score test (Rao, 1948) that is robust to noise
+    that is not white.
 
-    How much the pull of each block varies from block to block tells how certain the whole pull is, whatever the
+    The variance of the gradient from block to block gives the uncertainty of the whole gradient, whatever the
     correlation of the noise within a block (White, 1982); with b blocks and p numbers, Hotelling's T² takes the place
     of χ².
     """
     further = np.zeros_like(active)
     further[group] = True
-    known, asked = np.flatnonzero(active.ravel()), np.flatnonzero(further.ravel())
-    matrix, pull = np.asarray(votes.matrix, float), np.asarray(votes.pull, float)
-    pull = pull[np.abs(pull).sum(1) > 0]
+    known, tested = np.flatnonzero(active.ravel()), np.flatnonzero(further.ravel())
+    matrix, gradients = np.asarray(equations.matrix, float), np.asarray(equations.gradients, float)
+    gradients = gradients[np.abs(gradients).sum(1) > 0]
     scale = 1 / np.sqrt(np.diag(matrix) + 1e-30)
-    matrix, pull = matrix * scale[:, None] * scale, pull * scale
-    # What is left of each block's pull when the numbers that are fitted already have answered to it.
-    answer = np.linalg.lstsq(matrix[np.ix_(known, known)], matrix[np.ix_(known, asked)], rcond=1e-9)[0]
-    left = pull[:, asked] - pull[:, known] @ answer
+    matrix, gradients = matrix * scale[:, None] * scale, gradients * scale
+    # The part of each block's gradient that the numbers already fitted do not answer.
+    answer = np.linalg.lstsq(matrix[np.ix_(known, known)], matrix[np.ix_(known, tested)], rcond=1e-9)[0]
+    left = gradients[:, tested] - gradients[:, known] @ answer
     blocks, numbers = left.shape
     if blocks < 2 * numbers:
         return False
     statistic = left.sum(0) @ np.linalg.pinv(left.T @ left, rcond=1e-9, hermitian=True) @ left.sum(0)
-    return bool(statistic * (blocks - numbers) / blocks > _ASKED * numbers)
+    return bool(statistic * (blocks - numbers) / blocks > settings.score_per_number * numbers)
 
 
-# How many times an update is gone, at most, and where it is larger than the one before.
-_FARTHEST, _GROWING = 4.0, 2.0
+class _Limits(NamedTuple):
+    """Limits of a fit: the `steps` at most; the displacement at the farthest moment, sensor pixels, below which it has
+    converged; and the share of the points whose residual sets the scale of outliers."""
+
+    steps: Int[Array | np.int32, ""]
+    tolerance: Float[Array | np.float32, ""]
+    agreeing_share: Float[Array | np.float32, ""]
 
 
-class _Steps(NamedTuple):
-    """So far: the numbers; the last Gauss–Newton update, and how many times it was gone; how many were `done`, and by
-    how much the last one moved what moves most, sensor pixels."""
+class _FitState(NamedTuple):
+    """A fit after some steps: the `numbers`; the last Gauss–Newton `update` and the factor, `times`, by which it was
+    extrapolated; the number of steps `done`; the largest displacement, sensor pixels, that the last one made."""
 
     numbers: Float[Array, "2 8"]
     update: Float[Array, "2 8"]
@@ -272,7 +301,7 @@ class _Steps(NamedTuple):
     moved: Float[Array, ""]
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="settings")
 def _fit(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
@@ -280,103 +309,119 @@ def _fit(
     points: _Points,
     numbers: Float[Array, "2 8"],
     active: Bool[Array, "2 8"],
-    steps: Int[Array, ""],
-    enough: Float[Array, ""],
-    majority: Float[Array, ""],
-) -> tuple[Float[Array, "2 8"], _Votes]:
+    limits: _Limits,
+    settings: ParametricSettings,
+) -> tuple[Float[Array, "2 8"], _Equations]:
     """Gauss–Newton over the `active` numbers, with the pictures from `interval[0]` up to `interval[1]`.
 
-    Which pictures and numbers take part is data, so that one compilation serves for all.
+    The pictures and numbers that take part are data, so that one compiled program serves all of them.
     """
     longest = jnp.maximum(jnp.max(jnp.abs(after[jnp.stack([interval[0], interval[1] - 1])])), 1)
-    span = after[interval[1] - 1] - after[interval[0]]
     on = active.reshape(-1)
-    _, height, width = pictures.shape
     key_picture = pictures[jnp.argmin(jnp.abs(after))]
     about = bilinear(key_picture[None], *jnp.asarray(points.position))[0]
 
     def equations(numbers: Float[Array, "2 8"]) -> tuple[Array, Array]:
-        velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
+        return _normal_equations(pictures, after, interval, points, numbers, about, limits.agreeing_share, settings)
 
-        # Moment by moment, so that the sums stay in the cache.
-        def place(b: Array) -> tuple[Corner, Array]:
-            tau = after[b]
-            row, column = (points.position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
-            inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-            return corner_of(row, column, height, width), inside.astype(row.dtype)
-
-        def look(b: Array, placed: tuple[Corner, Array]) -> tuple[Array, tuple[Array, Array], Array]:
-            corner, inside = placed
-            return *_value_and_slope(pictures, b, corner), inside
-
-        def add(b: Array, found: tuple[Array, tuple[Array, Array], Array], sums: _Sums) -> _Sums:
-            tau, (value, slope, inside) = after[b], found
-            value = (value - about) * inside
-            return _Sums(
-                tuple(sum_ + tau**k * inside for k, sum_ in enumerate(sums.times)),
-                tuple(sum_ + factor * value for factor, sum_ in zip((1, tau, tau**2 / 2), sums.values, strict=True)),
-                sums.squares + value**2,
-                tuple(sum_ + one * inside for one, sum_ in zip(slope, sums.slopes, strict=True)),
-            )
-
-        sums = in_turn(place, look, add, _Sums.none(about), interval[0], interval[1])
-        times, values, slopes = (jnp.stack(of) for of in (sums.times, sums.values, sums.slopes))
-        # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
-        seen = jnp.maximum(times[0], 1e-6)
-        first = jnp.stack([times[1], times[2] / 2])
-        change = values[1:3] - first * (values[0] / seen)[None]
-        square = jnp.stack([jnp.stack([times[2], times[3] / 2]), jnp.stack([times[3] / 2, times[4] / 4])])
-        spread = square - first[:, None] * first[None] / seen[None, None]
-        mismatch = jnp.maximum(sums.squares - values[0] ** 2 / seen, 0) / seen
-        # Cauchy weights: regions that move otherwise stop pulling as soon as the rest agrees.
-        usual = _quantile(mismatch, jnp.asarray(points.region), majority)
-        trust = points.region / (1 + (mismatch / (3 * usual + 1e-12)) ** 2)
-        # What passes within an interval looks as if it stood still.
-        trust = trust / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
-        # What fires seldom changes seldom, as if it stood still, however slowly it moves.
-        trust = trust / (1 + (_INTERVALS * points.interval / jnp.maximum(span, 1)) ** 4)
-        down, right = slopes / seen[None]
-        regressors = down[None] * points.fields[:, 0] + right[None] * points.fields[:, 1]
-        weights = spread * trust[None, None]
-        matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]
-        pull = -jnp.concatenate([regressors * (change[q] * trust)[None] for q in (0, 1)])
-        return jnp.block(matrix), pull
-
-    # Pixels at the farthest moment that a unit of each number moves, at most: no generator is larger than 1.
+    # Largest displacement at the farthest moment by a unit of each number: no generator is larger than 1.
     lever = jnp.stack([longest, 0.5 * longest**2])[:, None]
 
-    def step(carry: _Steps) -> _Steps:
+    def step(carry: _FitState) -> _FitState:
         numbers = carry.numbers
-        matrix, pull = equations(numbers)
-        # Unit diagonal: velocities and accelerations differ by orders of magnitude. A trace of damping keeps the step
+        matrix, gradient = equations(numbers)
+        # Unit diagonal: velocities and accelerations differ by orders of magnitude. Slight damping keeps the step
         # finite where the picture has no texture.
         scale = jnp.where(on, 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12), 0)
         damping = jnp.where(on, 1e-6, 1).astype(matrix.dtype)
         scaled = matrix * scale[:, None] * scale[None, :] + jnp.diag(damping)
-        update = (jnp.linalg.solve(scaled, pull.sum(1) * scale) * scale).reshape(2, -1)
-        # Where each update is a share of the one before, as with weights that follow slowly, all that are still to come
-        # are taken at once (Aitken, 1926, for vectors).
+        update = (jnp.linalg.solve(scaled, gradient.sum(1) * scale) * scale).reshape(2, -1)
+        # Where each update is a constant share of the one before, as with weights that follow slowly, the sum of all
+        # further ones is taken at once (Aitken, 1926, for vectors).
         last, now = carry.update * lever, update * lever
         share = jnp.sum(now * last) / jnp.maximum(jnp.sum(last**2), 1e-20)
-        more = jnp.where(share < 1, carry.times / jnp.maximum(1 - share, 1e-6), _GROWING)
-        times = jnp.where(carry.done > 0, jnp.clip(more, 1, _FARTHEST), 1)
+        more = jnp.where(share < 1, carry.times / jnp.maximum(1 - share, 1e-6), settings.growing_step_ratio)
+        times = jnp.where(carry.done > 0, jnp.clip(more, 1, settings.longest_step_ratio), 1)
         moved = times * jnp.abs(now).max(1).sum()
-        return _Steps(numbers + times * update, update, times, carry.done + 1, moved)
+        return _FitState(numbers + times * update, update, times, carry.done + 1, moved)
 
-    def go_on(carry: _Steps) -> Array:
-        return (carry.done < steps) & (carry.moved > enough)
+    def unfinished(carry: _FitState) -> Array:
+        return (carry.done < limits.steps) & (carry.moved > limits.tolerance)
 
     one, infinite = (jnp.asarray(number, pictures.dtype) for number in (1, jnp.inf))
-    begin = _Steps(numbers, jnp.zeros_like(numbers), one, jnp.zeros_like(steps), infinite)
-    numbers = jax.lax.while_loop(go_on, step, begin).numbers
-    matrix, pull = equations(numbers)
-    votes = jax.ops.segment_sum(pull.T, points.block, num_segments=_BLOCKS**2)
-    return numbers, _Votes(matrix, votes)
+    begin = _FitState(numbers, jnp.zeros_like(numbers), one, jnp.zeros_like(limits.steps), infinite)
+    numbers = jax.lax.while_loop(unfinished, step, begin).numbers
+    matrix, gradient = equations(numbers)
+    gradients = jax.ops.segment_sum(gradient.T, points.block, num_segments=settings.blocks_per_side**2)
+    return numbers, _Equations(matrix, gradients)
 
 
-def _quantile(values: Float[Array, " n"], among: Float[Array, " n"], share: Float[Array, ""]) -> Float[Array, ""]:
-    """What this share of the values does not exceed, of those `among` which is 1; none is below 0. By halving, to 10⁻⁹
-    of the largest: sorting took most of a step."""
+def _normal_equations(
+    pictures: Float[Array, "n h w"],
+    after: Float[Array, " n"],
+    interval: Int[Array, " 2"],
+    points: _Points,
+    numbers: Float[Array, "2 8"],
+    about: Float[Array, " m"],
+    agreeing_share: Float[Array | np.float32, ""],
+    settings: ParametricSettings,
+) -> tuple[Float[Array, "16 16"], Float[Array, "16 m"]]:
+    """Matrix of the Gauss–Newton step, and the negative gradient of each point; `about`: the key picture there, about
+    which sums of squares are taken so that little is lost to rounding."""
+    _, height, width = pictures.shape
+    span = after[interval[1] - 1] - after[interval[0]]
+    velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
+
+    # Moment by moment, so that the sums stay in the cache.
+    def place(b: Array) -> tuple[Corner, Array]:
+        tau = after[b]
+        row, column = (points.position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
+        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+        return corner_of(row, column, height, width), inside.astype(row.dtype)
+
+    def look(b: Array, placed: tuple[Corner, Array]) -> tuple[Array, tuple[Array, Array], Array]:
+        corner, inside = placed
+        return *_value_and_slope(pictures, b, corner), inside
+
+    def add(b: Array, found: tuple[Array, tuple[Array, Array], Array], sums: _Sums) -> _Sums:
+        tau, (value, slope, inside) = after[b], found
+        value = (value - about) * inside
+        return _Sums(
+            tuple(sum_ + tau**k * inside for k, sum_ in enumerate(sums.times)),
+            tuple(sum_ + factor * value for factor, sum_ in zip((1, tau, tau**2 / 2), sums.values, strict=True)),
+            sums.squares + value**2,
+            tuple(sum_ + one * inside for one, sum_ in zip(slope, sums.slopes, strict=True)),
+        )
+
+    sums = in_turn(place, look, add, _Sums.none(about), interval[0], interval[1])
+    times, values, slopes = (jnp.stack(of) for of in (sums.times, sums.values, sums.slopes))
+    # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
+    seen = jnp.maximum(times[0], 1e-6)
+    first = jnp.stack([times[1], times[2] / 2])
+    change = values[1:3] - first * (values[0] / seen)[None]
+    square = jnp.stack([jnp.stack([times[2], times[3] / 2]), jnp.stack([times[3] / 2, times[4] / 4])])
+    spread = square - first[:, None] * first[None] / seen[None, None]
+    mismatch = jnp.maximum(sums.squares - values[0] ** 2 / seen, 0) / seen
+    # Cauchy weights: regions that move otherwise lose their weight as soon as the rest agrees.
+    usual = _quantile(mismatch, jnp.asarray(points.region), agreeing_share)
+    weight = points.region / (1 + (mismatch / (settings.outlier_scale * usual + 1e-12)) ** 2)
+    # Motion between two spikes is not resolved: the scene looks as if it stood still.
+    weight = weight / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
+    # Points that fire seldom change seldom, as if they stood still, however slowly they move.
+    weight = weight / (1 + (settings.spanned_intervals * points.interval / jnp.maximum(span, 1)) ** 4)
+    down, right = slopes / seen[None]
+    regressors = down[None] * points.fields[:, 0] + right[None] * points.fields[:, 1]
+    weights = spread * weight[None, None]
+    matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]
+    gradient = -jnp.concatenate([regressors * (change[q] * weight)[None] for q in (0, 1)])
+    return jnp.block(matrix), gradient
+
+
+def _quantile(
+    values: Float[Array, " n"], among: Float[Array, " n"], share: Float[Array | np.float32, ""]
+) -> Float[Array, ""]:
+    """Quantile of the values where `among` is 1; none is below 0. By bisection to 10⁻⁹ of the largest value: sorting
+    took most of the time of a step."""
     wanted = share * among.sum()
 
     def halve(_: Array, between: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -390,7 +435,8 @@ def _quantile(values: Float[Array, " n"], among: Float[Array, " n"], share: Floa
 
 
 class _Sums(NamedTuple):
-    """Over the moments, at each point: of τ⁰ to τ⁴, of the value times 1, τ and τ²/2, of its square, of its slopes."""
+    """Sums over the moments at each point: of τ⁰ to τ⁴, of the value times 1, τ and τ²/2, of its square, of its
+    slopes."""
 
     times: tuple[Float[Array, " n"], ...]
     values: tuple[Float[Array, " n"], ...]
@@ -399,6 +445,7 @@ class _Sums(NamedTuple):
 
     @classmethod
     def none(cls, like: Float[Array, " n"]) -> "_Sums":
+        """Sums of zero."""
         nothing = jnp.zeros_like(like)
         return cls((nothing,) * 5, (nothing,) * 3, nothing, (nothing,) * 2)
 
@@ -406,10 +453,10 @@ class _Sums(NamedTuple):
 def _value_and_slope(
     pictures: Float[Array, "n h w"], number: Array, at: Corner
 ) -> tuple[Float[Array, " m"], tuple[Float[Array, " m"], Float[Array, " m"]]]:
-    """Bilinear interpolation in the picture of this number, and its slope."""
+    """The picture of this `number`, interpolated bilinearly, and its slope down and to the right."""
     _, height, width = pictures.shape
     down, right = at.down, at.right
-    # Out of all pictures: taken out first, one would be copied.
+    # Indexed in the whole stack: slicing one picture first would copy it.
     flat, corner = pictures.reshape(-1), number * (height * width) + at.number
     a, b, c, d = (flat.at[corner + k].get(mode="promise_in_bounds") for k in (0, 1, width, width + 1))
     above, below = a + right * (b - a), c + right * (d - c)

@@ -1,16 +1,18 @@
 """One translation for the whole scene, found by phase correlation of pictures along the recording.
 
-The peak of a cross-correlation is looked for over the whole picture, so that no first guess is needed and no motion is
-too fast for it: what Gauss–Newton (`parametric`) cannot promise. In return it is one number for everything that moves.
+The peak of a cross-correlation is searched over the whole picture, so that no first guess is needed and no motion is
+too fast, which Gauss–Newton (`parametric`) does not guarantee. In return there is one velocity for everything that
+moves.
 
-Pictures close in time are compared first; farther ones after they have been moved back by what is known, so that a
-remainder of a pixel or two is all that is left to find, and a window that fades out the border (which does not move)
-pulls at nothing. The median over the pairs of a level keeps single failures out.
+Pictures close in time are compared first; farther ones after they have been moved back by the velocity found so far.
+Then a remainder of a pixel or two is left, and a window that fades out the border (which does not move) causes no bias.
+The median over the pairs of a level removes single failures.
 
 Source: Guizar-Sicairos, Thurman and Fienup, "Efficient subpixel image registration algorithms", Optics Letters 2008, as
 in `skimage.registration.phase_cross_correlation`.
 """
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter, shift
@@ -19,30 +21,25 @@ from skimage.registration import phase_cross_correlation
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion
-
-# Differences in time that the levels go up to, as shares of the recording; the first is one stretch.
-_SPANS = (0.0, 0.1, 0.3, 0.7)
-# No more pairs than this in a level.
-_PAIRS = 12
-# Sensor pixels: an overlap of fewer cannot be correlated.
-_SMALLEST = 8
 
 
 class PhaseCorrelation(Estimator):
     """One velocity for the whole scene, by phase correlation.
 
-    Holds for a scene that moves as a whole and less than half its size between neighbouring stretches; of a scene with
-    several motions it gives that of the most contrast. The confidence, the same for all pixels, says how well the pairs
-    agree: ½ where their velocities, over the recording, scatter by a pixel (median absolute deviation). Pictures
-    smaller than 8 × 8 sensor pixels or without any contrast show no motion (confidence 0).
+    Suitable for a scene that moves as a whole, by less than half its size between neighbouring stretches; of a scene
+    with several motions, the one of the most contrast is found. The confidence, equal for all pixels, measures how well
+    the pairs agree: ½ where their velocities, over the recording, scatter by a pixel (median absolute deviation).
+    Pictures smaller than 8 × 8 sensor pixels or without any contrast show no motion (confidence 0).
 
-    **Fields:** `upsampling`: fraction of a sensor pixel that a pair's displacement is found to is 1 / `upsampling`.
+    **Fields:** `upsampling`: a pair's displacement is found to 1 / `upsampling` sensor pixels. `settings`: thresholds.
 
     **Raises:** `InputError` for `upsampling` below 1, and if there are fewer than two stretches.
     """
 
     upsampling: int = 50
+    settings: MotionSettings = eqx.field(static=True, default=DEFAULTS, kw_only=True)
 
     def __check_init__(self):
         if self.upsampling < 1:
@@ -56,22 +53,24 @@ class PhaseCorrelation(Estimator):
                 f"The recording gives {number} picture(s), but phase correlation compares at least two: "
                 "use more frames."
             )
-        if min(height, width) < _SMALLEST:
-            return _nothing(height, width)
-        # Neither slow changes of light over the picture nor the noise of single pixels.
-        contrast = gaussian_filter(images, 1.0, axes=(1, 2)) - gaussian_filter(images, 5.0, axes=(1, 2))
-        if not (contrast.std((1, 2)) > 1e-4).all():
-            return _nothing(height, width)
+        options, least = self.settings.phase, self.settings.comparison.least_side_pixels
+        if min(height, width) < least:
+            return _no_motion(height, width)
+        fine, coarse = (gaussian_filter(images, sigma, axes=(1, 2)) for sigma in options.band_pixels)
+        contrast = fine - coarse
+        if not (contrast.std((1, 2)) > options.least_contrast).all():
+            return _no_motion(height, width)
         times = np.asarray(pictures.after, np.float64)
         length = times[-1] - times[0]
         velocity, scatter = np.zeros(2), 0.0
-        for span in _SPANS:
+        for span in options.span_shares:
             apart = min(max(round(span * (number - 1)), 1), number - 1)
-            starts = np.unique(np.linspace(0, number - 1 - apart, _PAIRS).round().astype(int))
+            starts = np.unique(np.linspace(0, number - 1 - apart, options.most_pairs).round().astype(int))
             gaps = times[starts + apart] - times[starts]
             pairs = zip(starts, gaps, strict=True)
             found = [
-                _displacement(contrast[k], contrast[k + apart], velocity * gap, self.upsampling) for k, gap in pairs
+                _displacement(contrast[k], contrast[k + apart], velocity * gap, self.upsampling, least)
+                for k, gap in pairs
             ]
             velocities = np.array(
                 [d / gap for d, gap in zip(found, gaps, strict=True) if d is not None], np.float64
@@ -84,21 +83,27 @@ class PhaseCorrelation(Estimator):
         return Motion.of_velocity(field, np.full((height, width), 1 / (1 + (scatter * length) ** 2)))
 
 
-def _nothing(height: int, width: int) -> Motion:
+def _no_motion(height: int, width: int) -> Motion:
+    """Rest, with confidence 0."""
     return Motion.of_velocity(np.zeros((2, height, width)), np.zeros((height, width)))
 
 
 def _displacement(
-    first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"], known: Float[np.ndarray, " 2"], upsampling: int
+    first: Float[np.ndarray, "h w"],
+    second: Float[np.ndarray, "h w"],
+    known: Float[np.ndarray, " 2"],
+    upsampling: int,
+    least: int,
 ) -> Float[np.ndarray, " 2"] | None:
-    """How far the picture has moved from `first` to `second`, sensor pixels; None if `known` leaves no overlap."""
+    """Displacement of the picture from `first` to `second`, sensor pixels, near a `known` one; None if that leaves an
+    overlap of fewer than `least` pixels a side."""
     whole = np.rint(known)
     size = np.array(first.shape)
     overlap = size - np.abs(whole).astype(int)
-    if (overlap < _SMALLEST).any():
+    if (overlap < least).any():
         return None
-    # The parts that show the same: what lies at p in the first lies at p + whole in the second. The rest of what is
-    # known is less than half a pixel either way; half of it is taken by each picture, so that both are blurred alike.
+    # The parts that overlap: a point at p in the first lies at p + whole in the second. The rest of the known
+    # displacement, half a pixel at most, is halved between the pictures, so that both are blurred alike.
     origin = np.maximum(-whole, 0).astype(int)
     there = np.maximum(whole, 0).astype(int)
     a = first[origin[0] : origin[0] + overlap[0], origin[1] : origin[1] + overlap[1]]
@@ -111,8 +116,8 @@ def _displacement(
     a, b = (window * (x - (window * x).sum() / window.sum()) for x in (a, b))
     if not (a.any() and b.any()):
         return None
-    # Its annotation leaves out None, which its documentation allows: plain correlation, where phases alone would count
-    # the noise of empty frequencies as much as the picture.
+    # No normalisation, which its documentation allows though its annotation does not: phases alone would weight the
+    # noise of empty frequencies as much as the picture.
     moved_back, _, _ = phase_cross_correlation(
         a,
         b,

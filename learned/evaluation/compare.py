@@ -30,7 +30,7 @@ from learned.evaluation.reference_problem import (
     reference_problem,
 )
 from learned.evaluation.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
-from learned.training.validation import psnr, quality
+from learned.training.validation import border_of, psnr, quality
 from learned.zoo import Model, Network, Optimizer, model
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
@@ -42,8 +42,6 @@ from scsr_opt.solvers.record import Status
 # The solution that all are held against, and the solver that goes on from a network's picture.
 _CONVERGED = Optimizer("fista-huber", PRIOR, FISTA(iterations=2000, tolerance=1e-6))
 _ORDINARY = Optimizer("fista-huber", PRIOR, FISTA())
-# Sensor pixels at the border that PSNR and SSIM leave out: there the scene has left the sensor for a time.
-_BORDER = 8
 
 
 def compare_stages(
@@ -224,7 +222,8 @@ class _Measure:
         if self.truth is None:
             return {"psnr": math.nan, "ssim": math.nan}
         scale = self.posed.clip.scale
-        border = min(_BORDER, min(self.posed.clip.recording.height, self.posed.clip.recording.width) // 4) * scale
+        sensor = self.posed.clip.clip.shape
+        border = border_of(min(sensor), scale)
         if shown:
             return dict(zip(("psnr", "ssim"), quality(self.truth, image, border), strict=True))
         return {"psnr": psnr(self.truth, image, border), "ssim": math.nan}

@@ -22,9 +22,6 @@ from scsr_opt.report.figures import detailed_part
 from scsr_opt.report.summary import plain, versions
 from scsr_opt.solvers.record import Status
 
-# Stages of a model in the table and the figure, at most.
-SHOWN = 6
-
 _ACCENT, _FAINT = "#c8102e", "#777777"
 _COLUMN, _GAP, _CAPTION, _MARGIN = 2.1, 0.1, 0.24, 0.15
 
@@ -232,12 +229,12 @@ FILES = ("stages.txt", "stages.json", "stages.png")
 """What `Comparison.write` writes."""
 
 
-def shown_stages(count: int) -> tuple[int, ...]:
-    """The stages of so many that are shown: all if they are few; else 1, 2, 4, 8, … and the last, `SHOWN` of these."""
-    if count <= SHOWN:
+def shown_stages(count: int, most: int = 6) -> tuple[int, ...]:
+    """The stages, of `count`, in the table and the figure: all, or `most` of 1, 2, 4, 8, … and the last."""
+    if count <= most:
         return tuple(range(1, count + 1))
     doubled = [2**power for power in range(count.bit_length()) if 2**power <= 0.75 * count] + [count]
-    places = np.linspace(0, len(doubled) - 1, min(len(doubled), SHOWN)).round().astype(int)
+    places = np.linspace(0, len(doubled) - 1, min(len(doubled), most)).round().astype(int)
     return tuple(doubled[place] for place in places)
 
 

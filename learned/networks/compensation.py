@@ -19,11 +19,6 @@ from learned.networks.layers import convolution, leaky
 from learned.networks.velocity import Moments, VelocityEstimator, base_moments, refined
 from scsr_opt.errors import InputError
 
-_CUBIC = -0.5  # Keys (1981), as in `jax.image.resize`
-_NEAR = 0.2  # sensor pixels, standard deviation; at ×4 0.35 loses 0.1 dB where a scene turns
-_LEAST = 1e-6  # beside it nearness is 0.007 at least where there is any sample
-_GATING = 16  # channels
-
 
 class Compensated(NamedTuple):
     """What the moments say of each point of the key frame.
@@ -44,13 +39,16 @@ class Compensated(NamedTuple):
     way: Float[Array, "2 H W"]
 
 
-def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> Compensated:
+def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int, reach: float = 0.2) -> Compensated:
     """Moments read where the key frame's points were then: Y_i(q + v(q)·t_i).
 
     What has left the sensor is left out, but at the moment nearest to the key frame, whose edge is repeated; and so are
     moments that are the same as the one before, at a recording's ends (`spike_blocks`).
 
-    **Arguments:** `velocity`: sensor pixels per frame. **Returns:** arrays of (s·h, s·w).
+    **Arguments:** `velocity`: sensor pixels per frame. `reach`: standard deviation of `Compensated.near`, sensor
+    pixels; at ×4 0.35 loses 0.1 dB where a scene turns.
+
+    **Returns:** arrays of (s·h, s·w).
     """
     _, rows, columns = seen.rates.shape
     size = (scale * rows, scale * columns)
@@ -74,7 +72,7 @@ def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> C
                 across = across + _keys(column - left - j) * sample
                 if i in (0, 1) and j in (0, 1):
                     there = (r == top + i) & (c == left + j)  # the edge repeated is no sample
-                    close = jnp.where(there, jnp.exp(-0.5 * ((row - r) ** 2 + (column - c) ** 2) / _NEAR**2), 0.0)
+                    close = jnp.where(there, jnp.exp(-0.5 * ((row - r) ** 2 + (column - c) ** 2) / reach**2), 0.0)
                     light, weight = light + close * sample, weight + close
             value = value + _keys(row - top - i) * across
         here = (new & (inside | nearest)).astype(jnp.float32)
@@ -91,15 +89,17 @@ def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> C
     moments = (*seen, new, away == jnp.min(away))
     (count, mean, squares, light, nearness), _ = jax.lax.scan(read, (nothing,) * 5, moments)
     spread = jnp.sqrt(jnp.maximum(squares, 0.0) / jnp.maximum(count, 1.0))
+    # Where there is any sample nearness is 0.007 at least.
+    near = light / jnp.maximum(nearness, 1e-6)
     way = jnp.abs(fine) * (seen.times[-1] - seen.times[0])
-    return Compensated(mean, spread, light / jnp.maximum(nearness, _LEAST), nearness, way)
+    return Compensated(mean, spread, near, nearness, way)
 
 
 def _keys(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """The cubic convolution kernel at |x| ≤ 2."""
-    x = jnp.abs(x)
-    near = ((_CUBIC + 2) * x - (_CUBIC + 3)) * x * x + 1
-    far = ((_CUBIC * x - 5 * _CUBIC) * x + 8 * _CUBIC) * x - 4 * _CUBIC
+    """The cubic convolution kernel of Keys (1981), a = −½, at |x| ≤ 2, as in `jax.image.resize`."""
+    x, a = jnp.abs(x), -0.5
+    near = ((a + 2) * x - (a + 3)) * x * x + 1
+    far = ((a * x - 5 * a) * x + 8 * a) * x - 4 * a
     return jnp.where(x <= 1, near, far)
 
 
@@ -121,15 +121,15 @@ class Deblurring(eqx.Module):
     output: eqx.nn.Conv2d
     gating: tuple[eqx.nn.Conv2d, eqx.nn.Conv2d]
 
-    def __init__(self, channels: int, *, key: PRNGKeyArray):
+    def __init__(self, channels: int, gating: int = 16, *, key: PRNGKeyArray):
         keys = jax.random.split(key, 6)
         self.first = convolution(2, channels, size=7, key=keys[0])
         self.second = convolution(channels, channels, key=keys[1])
         self.third = convolution(channels, channels, key=keys[2])
         self.output = convolution(channels, 1, shrink=0, key=keys[3])
         self.gating = (
-            convolution(5, _GATING, key=keys[4]),
-            convolution(_GATING, 2 * channels, size=1, key=keys[5]),
+            convolution(5, gating, key=keys[4]),
+            convolution(gating, 2 * channels, size=1, key=keys[5]),
         )
 
     def __call__(self, seen: Compensated, white_rate: Float[Array, ""] | float | int) -> Float[Array, "H W"]:

@@ -23,13 +23,6 @@ from scsr_opt.errors import InputError
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 
-# A usual λ and the pictures' contrast, by which what the network sees is of the order of 1.
-_USUAL, _CONTRAST = 4e-4, 0.25
-# λ is told from 0 down to this share of the usual one.
-_LEAST = 1e-3
-# Mean square errors below this, 50 dB, are as good as none.
-_FLOOR = 1e-5
-
 
 def first_prior() -> Prior:
     """Ψ of the solutions that are restored: the convex ridge regulariser, at every scale."""
@@ -43,7 +36,9 @@ class RestorationConfig:
     **Fields:**
     - `scale`: of the solutions that it was trained on.
     - `channels`, `blocks`: features, and residual blocks that work on them.
-    - `folding`: so many pixels each way become channels of one.
+    - `folding`: a block of `folding` × `folding` pixels becomes channels of one.
+    - `contrast`: of pictures (intensity), and `usual_strength`, a common λ: inputs are divided by them to be about 1.
+    - `least_strength`: the smallest share of `usual_strength` that the network can distinguish from 0.
 
     **Raises:** `InputError` for a value that is not allowed, with the name of its field.
     """
@@ -52,6 +47,9 @@ class RestorationConfig:
     channels: int = 48
     blocks: int = 6
     folding: int = 4
+    contrast: float = 0.25
+    usual_strength: float = 4e-4
+    least_strength: float = 1e-3
 
     def __post_init__(self):
         for name, least in (("scale", 1), ("channels", 1), ("blocks", 0), ("folding", 1)):
@@ -83,14 +81,14 @@ class RestorationNet(eqx.Module):
 
     def __call__(self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""]) -> Float[Array, "H W"]:
         """**Arguments:** `image`, a solution, intensity; `strength`, its λ."""
-        (rows, columns), factor = image.shape, self.config.folding
+        (rows, columns), config, factor = image.shape, self.config, self.config.folding
         whole = jnp.pad(image, ((0, -rows % factor), (0, -columns % factor)), mode="edge")
-        folded = fold((whole - jnp.mean(image))[None] / _CONTRAST, factor)
-        share = jnp.maximum(jnp.asarray(strength, image.dtype) / _USUAL, _LEAST)
+        folded = fold((whole - jnp.mean(image))[None] / config.contrast, factor)
+        share = jnp.maximum(jnp.asarray(strength, image.dtype) / config.usual_strength, config.least_strength)
         noise = jnp.full_like(folded[:1], jnp.log(share))
         known = jnp.concatenate([folded, noise]).astype(self.entry.weight.dtype)
         change = self.output(leaky(self.body(leaky(self.entry(known)))))
-        return image + _CONTRAST * unfold(change, factor)[0, :rows, :columns].astype(image.dtype)
+        return image + config.contrast * unfold(change, factor)[0, :rows, :columns].astype(image.dtype)
 
 
 @eqx.filter_jit
@@ -100,7 +98,10 @@ def restored(net: RestorationNet, image: Float[Array, "H W"], strength: Float[Ar
 
 
 def restoration_loss(picture: Float[Array, "H W"], truth: Float[Array, "H W"], border: int) -> Float[Array, ""]:
-    """ln of the mean square error, a border of so many pixels left out: every scene counts by its decibels."""
+    """ln of the mean square error without `border` pixels at each side: every scene counts by its decibels.
+
+    Errors below 50 dB do not count any more.
+    """
     inner = slice(border, -border or None)
     error = (picture - truth.astype(picture.dtype))[inner, inner]
-    return jnp.log(jnp.mean(error**2) + _FLOOR)
+    return jnp.log(jnp.mean(error**2) + 1e-5)

@@ -43,38 +43,36 @@ from scsr_opt._kernels.device import check_device
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress, check_progress
 
-SKIPPED_IN_A_ROW = 20
-"""So many steps without a finite loss and gradient, one after the other, end a run: chance does not do that."""
-
-_LOOK_EVERY = 10  # steps; asking the accelerator for its numbers at every step would make it wait
-# What may differ from the run that is gone on with: how long, how often, with how many hands.
-_FREE = ("steps", "validate_every", "save_every", "workers")
+_READ_EVERY = 10  # steps between readings of the losses; reading at every step would make an accelerator wait
+# Fields in which a configuration may differ from that of the run that it resumes.
+_FREE = ("steps", "validate_every", "save_every", "workers", "skip_limit")
 
 
-class TrainingResult(enum.Enum):
-    """How a run ended; `sentence` says it."""
+class TrainingStatus(enum.Enum):
+    """How a run ended; `message` says it in words."""
 
     finished = "All steps are done."
     diverged = (
-        f"Training failed: {SKIPPED_IN_A_ROW} steps in a row had a loss or a gradient that is not a finite number; "
-        f"start again in another folder with a lower rate or a smaller clip."
+        "Training failed: too many steps in a row (skip_limit) had a loss or a gradient that is not a finite number; "
+        "start again in another folder with a lower rate or a smaller clip."
     )
 
     @property
-    def sentence(self) -> str:
+    def message(self) -> str:
         return self.value
 
     @property
-    def good(self) -> bool:
-        return self is TrainingResult.finished
+    def usable(self) -> bool:
+        """Whether the weights are worth using."""
+        return self is TrainingStatus.finished
 
 
 @dataclass(frozen=True)
 class Training:
-    """What a run came to.
+    """The result of a run.
 
     **Fields:**
-    - `result`: how it ended.
+    - `status`: how it ended.
     - `model`: with the averaged weights.
     - `steps`: done in all; `skipped`: those that changed nothing, because their loss or gradient was not finite.
     - `losses`: (steps,) float32, of every step; not finite where it was skipped for that.
@@ -83,7 +81,7 @@ class Training:
     - `seconds`: since this call; `waited`: the part of them in which no example was ready.
     """
 
-    result: TrainingResult
+    status: TrainingStatus
     model: Any
     steps: int
     skipped: int
@@ -94,7 +92,7 @@ class Training:
     waited: float
 
     def lines(self) -> list[str]:
-        """What to say of it."""
+        """A summary to print."""
         said = [
             f"{self.steps} steps, {self.skipped} of them skipped; {self.seconds:.0f} s, of which {self.waited:.0f} s "
             f"were spent waiting for examples."
@@ -155,10 +153,10 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
                 last = done == config.steps
                 validate = last or done % config.validate_every == 0
                 save = last or done % config.save_every == 0
-                if validate or save or done % _LOOK_EVERY == 0:
+                if validate or save or done % _READ_EVERY == 0:
                     history.losses += [float(value) for value in unread]
                     unread.clear()
-                    if int(state.in_a_row) >= SKIPPED_IN_A_ROW:
+                    if int(state.in_a_row) >= config.skip_limit:
                         break
                 if validate:
                     history.validate(state)
@@ -167,9 +165,9 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
                 progress.advance(1)
     finally:
         progress.finish()
-    diverged = int(state.in_a_row) >= SKIPPED_IN_A_ROW
+    diverged = int(state.in_a_row) >= config.skip_limit
     return Training(
-        TrainingResult.diverged if diverged else TrainingResult.finished,
+        TrainingStatus.diverged if diverged else TrainingStatus.finished,
         eqx.combine(state.average, static),
         int(state.done),
         int(state.skipped),
@@ -387,4 +385,4 @@ class _History:
         checkpoint.save(self._folder / name, eqx.combine(state.average, self._static), card)
 
 
-__all__ = ["Training", "TrainingConfig", "TrainingResult", "learning_rate", "train"]
+__all__ = ["Training", "TrainingConfig", "TrainingStatus", "learning_rate", "train"]

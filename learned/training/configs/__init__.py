@@ -38,6 +38,7 @@ class TrainingConfig:
     - `rate`: the greatest learning rate. `schedule`: `constant`; `halving` every `halve_every` steps; `cosine`, from 0
       up to `rate` over `warm_up` steps, then down to a hundredth of it along half a cosine.
     - `clip`: greatest norm of the gradient; longer ones are shortened to it.
+    - `skip_limit`: steps in a row without a finite loss and gradient that end a run as failed.
     - `ema_decay`: of the moving average of the weights, which is what is validated and kept.
     - `precision`: `bfloat16` computes in it; weights, their updates and the loss stay float32.
     - `validate_every`, `save_every`: steps. Killed, a run loses what it did since it saved.
@@ -61,6 +62,7 @@ class TrainingConfig:
     warm_up: int = 0
     halve_every: int = 10_000
     clip: float | int = 1.0
+    skip_limit: int = 20
     ema_decay: float | int = 0.999
     precision: str = "float32"
     seed: int = 0
@@ -173,6 +175,7 @@ _RULES: dict[str, _Rule] = {
     "warm_up": _whole(0, "steps"),
     "halve_every": _whole(1, "steps"),
     "clip": _number(lambda value: value > 0, "above 0"),
+    "skip_limit": _whole(1, "steps"),
     "ema_decay": _number(lambda value: 0 <= value < 1, "from 0 to below 1"),
     "precision": _one_of(PRECISIONS),
     "seed": _whole(0, "from which everything random follows"),

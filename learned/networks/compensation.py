@@ -109,7 +109,7 @@ class Deblurring(eqx.Module):
     How much can be sharpened depends on where: along a fast motion samples lie close, at rest what lies between the
     pixels was never seen, and noise is not to be sharpened at all. So the features of the first and the last layer but
     one are multiplied by 1 + g(way, spread, nearness, spikes per frame), g two small layers: worth 0.4 dB over all
-    scenes and lights (docs/measurements.md).
+    scenes and lights (docs/decisions/0018).
 
     It works at the picture's resolution, since blur is the same at each of its pixels: the other modules see s×s of
     them as channels of one. It reaches 6 pixels each way and starts as no change.

@@ -1,4 +1,4 @@
-"""What a function costs: seconds on this machine, and floating-point operations as XLA counts them."""
+"""Cost of a function: seconds on this machine, and floating-point operations as XLA counts them."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -10,7 +10,7 @@ from jax.extend.core import jaxpr_as_fun
 
 
 class Cost(NamedTuple):
-    """**Fields:** `seconds` of one call, compiled before; `flops`, None where XLA does not tell."""
+    """**Fields:** `seconds` of one call, compiled before; `flops`, None where XLA does not count them."""
 
     seconds: float
     flops: float | None
@@ -23,7 +23,7 @@ def cost(
     function of. The quickest of `runs` after the first counts: what disturbs a run only makes it slower.
 
     FLOPs are those of XLA's cost analysis of the compiled function. It counts the body of a loop once; the rounds of a
-    `scan` (and of a `fori_loop` with a known number) are added here, those of a `while_loop` are not known to anybody.
+    `scan` (and of a `fori_loop` with a known number) are added here, those of a `while_loop` are unknown.
     """
     arrays, rest = eqx.partition(arguments, eqx.is_array)
 

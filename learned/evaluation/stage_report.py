@@ -1,4 +1,4 @@
-"""What a comparison of models stage by stage says: as a table to read, as JSON, and as a figure."""
+"""A comparison of models stage by stage as a table, as JSON, and as a figure."""
 
 import json
 import math
@@ -75,7 +75,7 @@ class ModelStages:
 
 @dataclass(frozen=True)
 class Hybrid:
-    """What optimizer and network make of each other's picture.
+    """Optimizer and network started at each other's picture.
 
     **Fields:**
     - `network`, `optimizer`: their names.
@@ -139,7 +139,7 @@ class Comparison:
 
     def json(self) -> str:
         """All stages of all models; what is not a finite number is null."""
-        told = {
+        content = {
             "recording": {
                 "name": self.recording.name,
                 "frames": self.recording.frames,
@@ -168,7 +168,7 @@ class Comparison:
             "hybrids": [asdict(hybrid) for hybrid in self.hybrids],
             "versions": versions(),
         }
-        return json.dumps(plain(told), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        return json.dumps(plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
     def figure(self) -> Figure:
         """A row a model, a column a stage: X^(t), the part where there is most to see; before them the last one whole.

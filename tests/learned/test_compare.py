@@ -15,7 +15,7 @@ from skimage import data
 from learned.evaluation import compare
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.costs import cost
-from learned.evaluation.reference_problem import PRIOR, reference_clip, reference_problem
+from learned.evaluation.reference_problem import PRIOR, reference_problem, reference_task
 from learned.evaluation.stage_report import Comparison, shown_stages
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.training import checkpoint
@@ -55,7 +55,7 @@ ISTA_HUBER = Optimizer("ista-huber", PRIOR, ISTA(iterations=40))
 def truth(recording) -> np.ndarray:
     """What one of the models ends with, so that it is right there and nowhere else."""
     return ISTA_HUBER.solve(
-        reference_problem(reference_clip(recording, scale=2), strength=STRENGTH), keep_images=True
+        reference_problem(reference_task(recording, scale=2), strength=STRENGTH), keep_images=True
     ).image
 
 
@@ -94,7 +94,7 @@ def test_the_converged_solution_is_the_end_of_the_scale(compared):
 
 
 def test_residual_and_step_by_hand(compared, recording):
-    posed = reference_problem(reference_clip(recording, scale=2), strength=STRENGTH)
+    posed = reference_problem(reference_task(recording, scale=2), strength=STRENGTH)
     placed, (step, image) = posed.placed, compared.models[1].pictures[2]
     missed = np.asarray(placed.read(posed.plain.blurred(jnp.asarray(image))) - placed.value, np.float64)
     stage = compared.models[1].stages[1]

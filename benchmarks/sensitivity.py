@@ -28,12 +28,11 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.command import finite, machine, table
-from benchmarks.recordings import LIGHTS, quality
+from benchmarks.recordings import LIGHTS, SCENES, quality
 from benchmarks.timing import in_turns
 from scsr_opt import Recording, reconstruct
 from scsr_opt._files import whole_file
 from scsr_opt._settings import Settings
-from scsr_opt.camera.scenes import Affine, MovingObject, Static, Translation, TurningDisc
 from scsr_opt.camera.simulator import simulate
 from scsr_opt.cli.compiled import keep_compiled
 from scsr_opt.errors import InputError
@@ -41,13 +40,6 @@ from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.report.pictures import read_picture
 
 SCALE, SENSOR, FRAMES, SEED = 2, (64, 80), 101, 5
-SCENES: dict[str, Callable[[Any, Any], Any]] = {
-    "static": lambda still, texture: Static(still),
-    "translate": lambda still, texture: Translation(still, velocity=(0.3, 0.5)),
-    "affine": lambda still, texture: Affine(still, rotation=0.002, zoom=0.001, drift=(0.2, 0.1)),
-    "object": lambda still, texture: MovingObject(still, texture, (0.6, 0.8)),
-    "fan": lambda still, texture: TurningDisc(still, texture, 0.004),
-}
 FACTORS = {"-50 %": 0.5, "+50 %": 1.5}
 LEAST_DECIBELS, LEAST_TIME = 0.02, 0.02  # a candidate changes neither PSNR (dB) nor time (share) by more than this
 
@@ -140,7 +132,7 @@ def measured(
 
 
 def candidate(row: dict[str, Any]) -> bool:
-    """Whether a field changes neither PSNR nor time in the directions that could be measured."""
+    """True if a field changes neither PSNR nor time in the directions that could be measured."""
     moved = [row[name] for name in FACTORS if "failed" not in row[name]]
     return bool(moved) and all(
         max(map(abs, one["psnr"])) <= LEAST_DECIBELS and abs(mean(one["time"]) - 1) <= LEAST_TIME for one in moved

@@ -1,7 +1,7 @@
-"""Moments brought to the key frame along the estimated motion, and sharpened: what X^(0) of a network starts from.
+"""Moments brought to the key frame along the estimated motion, and sharpened: the base of X^(0) of a network.
 
-Where something moves, its samples fall between those of the key frame, so that what several moments say together is
-finer than any of them: an enlargement without aliasing, blurred by the pixels' aperture and by what fills the gaps
+Where something moves, its samples fall between those of the key frame, so that several moments together are finer than
+any of them: an enlargement without aliasing, blurred by the pixels' aperture and by what fills the gaps
 between samples. `compensated` brings moments together, once with few gaps and once with little blur; `Deblurring`
 sharpens, as much as motion, noise and light allow.
 """
@@ -21,7 +21,7 @@ from scsr_opt.errors import InputError
 
 
 class Compensated(NamedTuple):
-    """What the moments say of each point of the key frame.
+    """Means and spread of the moments at each point of the key frame.
 
     **Fields:** all of the picture's size; in intensity but for the last two,
     - `mean`: of the moments, each enlarged (cubic, Keys 1981) at the places where the point was then.
@@ -106,8 +106,8 @@ def _keys(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
 class Deblurring(eqx.Module):
     """`Compensated` to a sharp picture: four convolutions of the two means, gated by motion, noise and light.
 
-    How much can be sharpened depends on where: along a fast motion samples lie close, at rest what lies between the
-    pixels was never seen, and noise is not to be sharpened at all. So the features of the first and the last layer but
+    How much can be sharpened depends on the place: along a fast motion samples lie close, at rest nothing between the
+    pixels was seen, and noise must not be sharpened. So the features of the first and the last layer but
     one are multiplied by 1 + g(way, spread, nearness, spikes per frame), g two small layers: worth 0.4 dB over all
     scenes and lights (docs/decisions/0018).
 

@@ -145,7 +145,7 @@ def _rows(table: Float[Array, "pixels c"], index: Int[Array, "places"]) -> Float
 
 
 def _one_by_one_on_cpu(work: Callable[..., Any], *arrays: Array) -> Any:
-    """`work(*arrays)`; where `jax.vmap` asks for many of it, one after the other on a CPU."""
+    """`work(*arrays)`; where `jax.vmap` batches it, one after the other on a CPU."""
     return jax.lax.platform_dependent(*arrays, cpu=jax.custom_batching.sequential_vmap(work), default=work)
 
 

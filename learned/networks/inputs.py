@@ -1,6 +1,6 @@
-"""What an unrolled iteration is given of a recording: the data term of Eq. 4 with its samples in groups, and a start.
+"""Inputs of an unrolled iteration: the data term of Eq. 4 with its samples in groups, and a start.
 
-All of it is made by the functions that `scsr_opt.reconstruct` uses, from the motion that its estimator finds, so that
+All inputs are made by the functions that `scsr_opt.reconstruct` uses, from the motion that its estimator finds, so that
 optimiser and network look at the same numbers.
 """
 
@@ -68,7 +68,7 @@ class Inputs(eqx.Module):
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, Float[Array, "..."]], scale: int) -> "Inputs":
-        """From what `arrays` gave, at any precision."""
+        """The inputs that `arrays` took apart, at any precision."""
         planes, targets, image, step_size, noise = (
             jnp.asarray(arrays[name], jnp.float32) for name in ("planes", "targets", "image", "step_size", "noise")
         )

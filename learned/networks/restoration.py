@@ -1,13 +1,13 @@
-"""Solution to sharper picture: what a network knows of the solutions of Eq. 4, for a prior to be centred at.
+"""A network that restores solutions of Eq. 4, for a prior to be centred at.
 
-A convex prior that knows nothing of a scene cannot tell an edge that a solution has lost from one that was never there.
-A network that has seen many solutions beside their truths can, at times. Its picture X̂ is not taken for the result: it
-becomes the centre of the ridge regulariser (`scsr_opt.priors.Centred`), and Eq. 4 is solved once more,
+A convex prior cannot tell an edge that a solution has lost from one that was never there. A network that was trained on
+many solutions and their truths sometimes can. Its picture X̂ is not the result: it becomes the centre of the ridge
+regulariser (`scsr_opt.priors.Centred`), and Eq. 4 is solved once more,
 
     minimise over X of f(X) + λ Ψ(X − X̂),
 
-a convex problem with the guarantees that it had, whatever the network says: what contradicts the data costs, and what
-the data leave open is the network's. The rung `ridge-centred` of `learned.zoo` is both solves.
+a convex problem with the guarantees that it had, whatever the network returns: contradicting the data costs, and the
+network decides only what the data leave open. The model `ridge-centred` of `learned.zoo` is both solves.
 """
 
 import dataclasses

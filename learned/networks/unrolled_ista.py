@@ -37,7 +37,7 @@ class UnrolledConfig:
     - `scale`: s ≥ 1.
     - `stages`: T ≥ 1.
     - `channels`, `blocks`: features and residual blocks of each stage's network.
-    - `folding`: so many pixels each way become channels of one for the network; a divisor of `scale`, so that the
+    - `folding`: a block of `folding` × `folding` pixels becomes channels of one; a divisor of `scale`, so that the
       picture of any sensor can be folded.
     - `boundaries`: frames from the key frame, rising, at which groups of samples with a weight of their own begin.
     - `proximal`: False leaves the networks out, X^(t) = R^(t).
@@ -71,7 +71,7 @@ class UnrolledConfig:
 
 
 class Context(NamedTuple):
-    """What a stage's network knows beside R^(t).
+    """Inputs of a stage's network beside R^(t).
 
     **Fields:**
     - `first`: X^(0); it used fewer frames than the data term, and no motion that could be wrong.

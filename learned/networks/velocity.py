@@ -1,11 +1,12 @@
 """Motion as a network sees it: one velocity per pixel, learned from the true motion of simulated scenes.
 
 In the few dozen frames around a key frame, a thousandth of a second, what is seen at a point moves along a straight
-line. So one velocity per pixel of the key frame says where to look at every moment. The offsets of a deformable
-convolution say the same, but each alignment has to find them for itself, from what little of the motion its input shows
-(the residual of a gradient step shows least where it is aligned best), and a picture's loss alone teaches them slowly:
-Chan et al., "Understanding deformable alignment in video super-resolution", AAAI 2021, hold them to an optical flow. A
-simulator knows the motion, so here it is taught outright, once for all alignments, and offsets start from it.
+line. So one velocity per pixel of the key frame gives its place at every moment. The offsets of a deformable
+convolution give it, too, but each alignment has to find its own from an input that hardly shows the motion (the
+residual of a gradient step least of all where it is aligned best), and a picture's loss alone teaches offsets slowly:
+Chan et al., "Understanding deformable alignment in video super-resolution", AAAI 2021, hold them to an optical flow.
+The motion of a simulated scene is known, so the estimate is trained on it, once for all alignments, and offsets start
+there.
 
 The estimate is a sweep: for each of a grid of velocities the moments are shifted back by it, and where they then agree
 the velocity is right. What "agree" means, and which neighbours to believe, is learned. That comes near enough for a
@@ -28,7 +29,7 @@ from scsr_opt.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class VelocitySearch:
-    """What a `VelocityEstimator` compares; its weights belong to these numbers.
+    """The grid and the moments of a `VelocityEstimator`, for which its weights were trained.
 
     **Fields:**
     - `fastest`: end of the grid of velocities along either axis, sensor pixels per frame. Training has 0.3.
@@ -81,7 +82,7 @@ def base_moments(
     white_rate: Float[Array, ""] | float | int,
     count: int,
 ) -> Moments:
-    """What `learned.networks.compensation` brings together: moments of 3 frames, from the intervals between spikes.
+    """Moments of 3 frames from the intervals between spikes, for `learned.networks.compensation`.
 
     A count over 3 frames is wrong by up to a spike, and where things move the errors of neighbouring moments, read from
     other pixels, no longer cancel. An interval is wrong by a frame at either end only.
@@ -242,7 +243,7 @@ def _corrected(seen: Moments, velocity: Float[Array, "2 h w"], numbers: Refineme
     mean = jnp.pad(jnp.sum(inside * tracks, axis=0) / count, 1, mode="edge")
     down, right = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2, (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
     known = down * velocity[0] + right * velocity[1] - slope
-    # A pixel whose track stays on the sensor for longer says more.
+    # A pixel whose track stays on the sensor for longer has more weight.
     trust = spread / jnp.maximum(jnp.max(spread), 1e-6)
     parts = jnp.stack([down * down, down * right, right * right, down * known, right * known])
     a, b, d, y, x = _blurred(parts * trust[None], numbers.window)

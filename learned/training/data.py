@@ -5,7 +5,7 @@ An example is a patch of a recording around its key frame, with the true high-re
 are drawn anew for every example, so no example is seen twice and nothing lies on the disk.
 
 Example number i of seed s depends on s and i alone, never on the worker that makes it or on what was made before. A run
-that starts again at step n therefore asks for example n·batch and goes on with exactly what it would have seen.
+that starts again at step n therefore takes example n·batch next and sees exactly what it would have seen.
 
 This module does not import JAX: every process that makes examples (`learned.training.data_loader`) imports it.
 """
@@ -61,7 +61,7 @@ class Example(NamedTuple):
 
 @dataclass(frozen=True)
 class Pictures:
-    """What the scenes are made of.
+    """Pictures that scenes are made of.
 
     **Fields:**
     - `stills`: picture files, or `sample:NAME` for one of `skimage.data`.
@@ -305,7 +305,7 @@ def _halved(picture: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "h w"]:
 
 
 def turned(array: Any, turns: int, flipped: bool) -> Any:
-    """The last two axes turned by 90° so many times, then flipped left to right."""
+    """The last two axes turned by 90° `turns` times, then flipped left to right."""
     found = np.rot90(array, turns, axes=(-2, -1))
     return np.ascontiguousarray(found[..., ::-1] if flipped else found)
 

@@ -5,8 +5,8 @@ A run lives in a folder:
 - `state`: weights, their average, the optimiser, the step, all losses and scores. Written whole and renamed, so a run
   that is killed at any moment goes on from the last one. What follows is then what would have followed: the examples of
   a step depend on the seed and the step alone (see `learned.training.data`), and the program of a step is the same. On
-  a CPU the result is the same to the last bit; on a GPU if it is told to be
-  (`XLA_FLAGS=--xla_gpu_deterministic_ops=true`). A run may be gone on with for more steps; a cosine's learning rate
+  a CPU the result is the same to the last bit; on a GPU with
+  `XLA_FLAGS=--xla_gpu_deterministic_ops=true`. A run may be resumed for more steps; a cosine's learning rate
   then follows the longer plan from there.
 - `last.scsr`, `best.scsr`: the averaged weights, with their card (see `learned.training.checkpoint`); best in mean
   PSNR.
@@ -49,7 +49,7 @@ _FREE = ("steps", "validate_every", "save_every", "workers", "skip_limit")
 
 
 class TrainingStatus(enum.Enum):
-    """How a run ended; `message` says it in words."""
+    """End of a run; `message` is a sentence about it."""
 
     finished = "All steps are done."
     diverged = (
@@ -63,7 +63,7 @@ class TrainingStatus(enum.Enum):
 
     @property
     def usable(self) -> bool:
-        """Whether the weights are worth using."""
+        """True if the weights can be used."""
         return self is TrainingStatus.finished
 
 
@@ -93,17 +93,17 @@ class Training:
 
     def lines(self) -> list[str]:
         """A summary to print."""
-        said = [
+        lines = [
             f"{self.steps} steps, {self.skipped} of them skipped; {self.seconds:.0f} s, of which {self.waited:.0f} s "
             f"were spent waiting for examples."
         ]
         if self.validated:
             last = self.validated[-1]
-            said.append(
+            lines.append(
                 f"Validation: {last['psnr']:.2f} dB, structural similarity {last['ssim']:.3f}; playback enlarged "
                 f"{self.playback['psnr']:.2f} dB and {self.playback['ssim']:.3f}."
             )
-        return said
+        return lines
 
 
 class _State(NamedTuple):
@@ -116,7 +116,7 @@ class _State(NamedTuple):
 
 
 def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Progress | None = None) -> Training:
-    """Trains a network from the start, or goes on with the run in the folder `out`.
+    """Trains a network from the start, or resumes the run in the folder `out`.
 
     A step takes the mean loss over a batch, its gradient cut to the length `clip`, and one step of Adam. The average of
     the weights follows with min(`ema_decay`, (1 + n)/(10 + n)) after n steps, so that a short run is not held back by
@@ -131,7 +131,7 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
     task = trainable(config.model, config.scale, config.network)
     examples = _examples(config)
     _make_folder(folder)
-    # A run that is gone on with has its own weights, and those it once started from may be gone.
+    # A resumed run has its own weights, and those it once started from may be gone.
     model, origins = (task.build(jax.random.key(config.seed)), []) if _begun(folder) else _built(config, task)
     state, static, optimiser = _first(config, model)
     history = _History(folder, config, static, task, origins)
@@ -302,7 +302,7 @@ def _chosen(first: Bool[Array, ""], yes: PyTree, no: PyTree) -> PyTree:
 
 
 class _History:
-    """What has happened in a run, and its folder."""
+    """Losses and scores of a run, and its folder."""
 
     def __init__(
         self, folder: Path, config: TrainingConfig, static: PyTree, task: Trainable, origins: list[dict[str, Any]]
@@ -332,8 +332,8 @@ class _History:
         checkpoint.check_same(path, fixed[0], fixed[1])
         if header["steps"] > self._config.steps:
             raise InputError(
-                f"{path} has {header['steps']} steps behind it, but {self._config.steps} are asked for: ask for more, "
-                f"or train into another folder."
+                f"{path} has {header['steps']} steps behind it, but the configuration has {self._config.steps}: raise "
+                f"that, or train into another folder."
             )
         state, losses = checkpoint.unpacked(path, payload, (first, np.zeros(header["steps"], np.float32)))
         self.losses, self.validated = [float(loss) for loss in losses], header["validated"]
@@ -352,7 +352,7 @@ class _History:
             self._keep("best.scsr", state)
 
     def save(self, state: _State) -> None:
-        """Writes everything; the state comes last, as it says that the rest is there."""
+        """Writes everything; the state comes last, as its presence means that the rest is complete."""
         losses, folder = np.array(self.losses, np.float32), self._folder
         self._keep("last.scsr", state)
         with jax.numpy_dtype_promotion("standard"):

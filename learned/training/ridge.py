@@ -272,7 +272,7 @@ def bend(knots: Array, slopes: Array, field: Array) -> Array:
 
 
 class _Forward(NamedTuple):
-    """What one patch's two solves gave, and its λ and mean square error."""
+    """Results of one patch's two solves, and its λ and mean square error."""
 
     picture: Array
     sensitivity: Array

@@ -1,4 +1,4 @@
-"""How good a network is while it trains: fixed recordings of pictures it does not train on, curves, samples.
+"""Quality of a network while it trains: fixed recordings of pictures it does not train on, curves, samples.
 
 The scenes are of the kinds that reconstructions are judged on, in daylight (white rate 0.6, 1000 photons): standing
 still, translation, affine motion, an object and a turning disc before a background. They are the same for every run of
@@ -61,7 +61,7 @@ def _inner(image: Float[Any, "H W"], border: int) -> Float[np.ndarray, "h w"]:
 
 
 def playback(example: Example, scale: int) -> Float[np.ndarray, "H W"]:
-    """What is to be beaten: TFP over 21 frames, enlarged by bicubic interpolation."""
+    """Reference to compare with: TFP over 21 frames, enlarged by bicubic interpolation."""
     spikes = np.asarray(example.spikes)
     key = spikes.shape[0] // 2
     return bicubic(tfp(spikes, key, white_rate=float(example.white_rate)), scale)

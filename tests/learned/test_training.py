@@ -192,9 +192,9 @@ def test_a_finished_run_has_nothing_left_to_do_and_can_be_made_longer(tmp_path):
     assert again.steps == 3 and again.losses.tobytes() == first.losses.tobytes()
     longer = train(config.changed(steps=5, workers=1), tmp_path)
     assert longer.steps == 5 and longer.losses[:3].tobytes() == first.losses.tobytes()
-    with pytest.raises(InputError, match="has 5 steps behind it, but 4 are asked for"):
+    with pytest.raises(InputError, match="has 5 steps behind it, but the configuration has 4"):
         train(config.changed(steps=4), tmp_path)
-    with pytest.raises(InputError, match="another configuration: batch is 2 there, but 3 was asked for"):
+    with pytest.raises(InputError, match="another configuration: batch is 2 there, but 3 is wanted"):
         train(config.changed(steps=6, batch=3), tmp_path)
     (tmp_path / "state").write_bytes((tmp_path / "state").read_bytes()[:-9])
     with pytest.raises(InputError, match="damaged or cut short"):

@@ -1,4 +1,4 @@
-"""How a network is trained: configurations, as TOML files. Those in this folder go by their names."""
+"""Configurations of training, TOML files. Those in this folder are found by their names."""
 
 import dataclasses
 import math
@@ -77,7 +77,10 @@ class TrainingConfig:
 
     @classmethod
     def of(cls, table: Mapping[str, Any], source: str = "The configuration") -> "TrainingConfig":
-        """From the entries of a TOML file. **Raises:** `InputError` for an entry that is missing, unknown or wrong."""
+        """A configuration of the entries of a TOML file.
+
+        **Raises:** `InputError` for an entry that is missing, unknown or wrong.
+        """
         for name in table:
             if name not in _RULES:
                 raise InputError(
@@ -94,7 +97,7 @@ class TrainingConfig:
 
     @classmethod
     def read(cls, name: str | os.PathLike[str]) -> "TrainingConfig":
-        """From a TOML file, or by the name of one that comes with the package (`names()`).
+        """The configuration in a TOML file, or of a name that comes with the package (`names()`).
 
         **Raises:** `InputError` if there is none of that name, or it cannot be used.
         """
@@ -110,7 +113,7 @@ class TrainingConfig:
         return cls.of(table, str(path))
 
     def changed(self, **fields: Any) -> "TrainingConfig":
-        """The same with other values."""
+        """A copy with other values of some fields."""
         return self.of(self.plain() | fields)
 
     def plain(self) -> dict[str, Any]:

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from learned.networks.encoder import check_blocks
-from learned.networks.layers import convolution, leaky
+from learned.networks.layers import check_sizes, convolution, leaky
 from learned.networks.velocity import Moments, VelocityEstimator, base_moments, refined
-from scsr_opt.errors import InputError
 
 
 class Compensated(NamedTuple):
@@ -162,9 +161,7 @@ class CompensationConfig:
     moments: int = 21
 
     def __post_init__(self):
-        for name in ("scale", "velocity_channels", "deblur_channels"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least 1.")
+        check_sizes(self, scale=1, velocity_channels=1, deblur_channels=1)
         check_blocks(self.moments, 3, 3)
 
 

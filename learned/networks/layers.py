@@ -4,15 +4,26 @@ Every layer works on one picture of features, (channels, rows, columns), without
 maps over it (`jax.vmap`), which makes one convolution of them all.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
+from scsr_opt.errors import InputError
+
 LEAST_SIDE = 8
 """Fewest sensor pixels a side that a SpikeSR-Net takes; smaller pictures are continued. Its convolutions see zeros
 beyond a border, which training has on one side at a time: `spikesr-small` made 1×1 sensors 17 % too dark, 2×2 1 %."""
+
+
+def check_sizes(config: Any, **least: int) -> None:
+    """**Raises:** `InputError` if a field of the configuration is below the number that is given for its name."""
+    for name, number in least.items():
+        if getattr(config, name) < number:
+            raise InputError(f"{name} is {getattr(config, name)}; it must be at least {number}.")
 
 
 def at_least_float32(dtype: DTypeLike) -> DTypeLike:

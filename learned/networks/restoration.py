@@ -18,8 +18,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from learned.networks.layers import ResidualBlocks, convolution, fold, leaky, unfold
-from scsr_opt.errors import InputError
+from learned.networks.layers import ResidualBlocks, check_sizes, convolution, fold, leaky, unfold
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 
@@ -52,9 +51,7 @@ class RestorationConfig:
     least_strength: float = 1e-3
 
     def __post_init__(self):
-        for name, least in (("scale", 1), ("channels", 1), ("blocks", 0), ("folding", 1)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
+        check_sizes(self, scale=1, channels=1, blocks=0, folding=1)
 
 
 class RestorationNet(eqx.Module):

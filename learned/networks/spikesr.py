@@ -43,7 +43,7 @@ from learned.networks.compensation import Deblurring, compensated
 from learned.networks.encoder import PASE, block_times, check_blocks, check_branches, spike_blocks
 from learned.networks.fusion import Initialisation
 from learned.networks.gradient import GradientModule
-from learned.networks.layers import at_least_float32
+from learned.networks.layers import at_least_float32, check_sizes
 from learned.networks.proximal import ProximalModule
 from learned.networks.velocity import VelocityEstimator, base_moments, refined
 from scsr_opt.camera.recording import WHITE_RATE
@@ -110,12 +110,10 @@ class SpikeSRConfig:
     deblur_channels: int = 0
 
     def __post_init__(self):
-        for name in ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale"):
-            self._check(name, 1)
-        for name in ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels"):
-            self._check(name, 0)
-        for name in ("velocity_channels", "velocity_weight", "deblur_channels"):
-            self._check(name, 0)
+        ones = ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale")
+        zeros = ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels")
+        zeros += ("velocity_channels", "velocity_weight", "deblur_channels")
+        check_sizes(self, **dict.fromkeys(ones, 1), **dict.fromkeys(zeros, 0))
         if self.deblur_channels and not self.velocity_channels:
             raise InputError(
                 f"deblur_channels is {self.deblur_channels}, but velocity_channels is 0: what is sharpened has been "
@@ -130,10 +128,6 @@ class SpikeSRConfig:
             raise InputError(f"groups is {self.groups}; it must divide channels, {self.channels}.")
         if not (self.gradient or self.proximal):
             raise InputError("gradient and proximal are both False, and a stage would do nothing; leave out one only.")
-
-    def _check(self, name: str, least: int) -> None:
-        if getattr(self, name) < least:
-            raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
 
     @classmethod
     def full(cls, scale: int, **changes: Any) -> "SpikeSRConfig":

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from learned.networks.inputs import Inputs
-from learned.networks.layers import ResidualBlocks, convolution, fold, leaky, unfold
+from learned.networks.layers import ResidualBlocks, check_sizes, convolution, fold, leaky, unfold
 from learned.networks.spikesr import Iterates
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
@@ -58,16 +58,11 @@ class UnrolledConfig:
     noise_scale: float = 20.0
 
     def __post_init__(self):
-        for name, least in (("scale", 1), ("stages", 1), ("channels", 1), ("blocks", 0), ("folding", 1)):
-            self._check(name, least)
+        check_sizes(self, scale=1, stages=1, channels=1, blocks=0, folding=1)
         if self.scale % self.folding:
             raise InputError(f"folding is {self.folding}; it must divide the scale, {self.scale}.")
         if any(later <= earlier for earlier, later in zip((0, *self.boundaries), self.boundaries, strict=False)):
             raise InputError(f"boundaries is {self.boundaries}; they must be above 0, each above the one before it.")
-
-    def _check(self, name: str, least: int) -> None:
-        if getattr(self, name) < least:
-            raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
 
 
 class Context(NamedTuple):

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from learned.networks.encoder import PASE, check_blocks, check_branches, spike_blocks
 from learned.networks.inputs import Inputs, members_of
+from learned.networks.layers import check_sizes
 from learned.networks.spikesr import Iterates
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from scsr_opt.camera.samples import Samples
@@ -52,8 +53,7 @@ class UnrolledPASEConfig(UnrolledConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        self._check("encoder_channels", 1)
-        self._check("encoder_blocks", 0)
+        check_sizes(self, encoder_channels=1, encoder_blocks=0)
         check_blocks(self.moments, self.length, self.spacing)
         check_branches(self.branches)
 

@@ -23,8 +23,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from learned.networks.encoder import block_times, check_blocks, spike_blocks
-from learned.networks.layers import convolution, leaky
-from scsr_opt.errors import InputError
+from learned.networks.layers import check_sizes, convolution, leaky
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,7 +201,7 @@ def _sweep(
 
 
 @dataclasses.dataclass(frozen=True)
-class Refinement:
+class VelocityRefinement:
     """Numbers of `refined`.
 
     **Fields:**
@@ -219,21 +218,23 @@ class Refinement:
     limit: float = 0.5
 
 
-def refined(seen: Moments, velocity: Float[Array, "2 h w"], numbers: Refinement | None = None) -> Float[Array, "2 h w"]:
+def refined(
+    seen: Moments, velocity: Float[Array, "2 h w"], numbers: VelocityRefinement | None = None
+) -> Float[Array, "2 h w"]:
     """A velocity that is near the true one made exact: three steps of Gauss and Newton (Lucas and Kanade 1981).
 
     Read along their tracks, p + v·t, the moments change in time by ∇Y·(v − u) where u is the true velocity; u is that
     which explains the change best around a pixel, in a Gaussian window of 3 pixels. Where there is no texture the mean
     velocity around is kept. Nothing is learned here: what learning is needed for is to come near enough.
     """
-    numbers = Refinement() if numbers is None else numbers
+    numbers = VelocityRefinement() if numbers is None else numbers
     smooth = _blurred(seen.rates, numbers.blur)
     for _ in range(numbers.steps):
         velocity = _corrected(Moments(smooth, seen.times), velocity, numbers)
     return jnp.clip(velocity, -numbers.limit, numbers.limit)
 
 
-def _corrected(seen: Moments, velocity: Float[Array, "2 h w"], numbers: Refinement) -> Float[Array, "2 h w"]:
+def _corrected(seen: Moments, velocity: Float[Array, "2 h w"], numbers: VelocityRefinement) -> Float[Array, "2 h w"]:
     tracks, inside = jax.vmap(lambda rate, time: _along_track(rate, velocity * time))(*seen)
     time = seen.times[:, None, None]
     count = jnp.maximum(jnp.sum(inside, axis=0), 1.0)
@@ -287,8 +288,7 @@ class VelocityConfig:
     moments: int = 21
 
     def __post_init__(self):
-        if self.channels < 1:
-            raise InputError(f"channels is {self.channels}; it must be at least 1.")
+        check_sizes(self, channels=1)
         check_blocks(self.moments, 3, 3)
 
 

@@ -36,7 +36,7 @@ _TIMED_ITERATIONS = 20
 
 
 class Size(NamedTuple):
-    """How much is done: `sensor` of the solvers, and `side` of the priors' pictures, pixels; the `stills` of the priors
+    """Amount of work: `sensor` of the solvers, and `side` of the priors' pictures, pixels; the `stills` of the priors
     (the first is the solvers'); `conditions` (scale, light); `exact` iterations for the minimum; and in how many
     `seconds` a solver has to reach a gap."""
 

@@ -37,7 +37,7 @@ _SOLVERS: dict[str, tuple[Solver, str]] = {
     "LBFGS": (solvers.LBFGS(), "Huber-TV"),
     "FISTA, ridge": (FISTA(), "ridge"),
 }
-# Gaps below are near what float32 knows of F: which iteration meets them is chance.
+# Gaps below are near the rounding of F in float32: which iteration meets them is chance.
 _SMALLEST_GAP = 1e-4
 
 

@@ -7,7 +7,7 @@ times, each time knowing more that a real recording does not show:
 
 - `reconstruct`: by its defaults.
 - `strength`: the motion it found, and the best of several strengths.
-- `motion`: every sample lies where the truth says; what is hidden in the key frame takes part all the same.
+- `motion`: every sample lies at its true place; what is hidden in the key frame takes part all the same.
 - `occlusion`: samples that are hidden in the key frame are left out, and pixels that see two surfaces at once.
 - `noise-free`: and every sample is the exact mean of the light over its exposure.
 
@@ -49,7 +49,7 @@ def solved(placed: PlacedSamples, image: jax.Array, strength: float, scale: int)
 
 
 def true_path(scene: Any, scale: int, frames: int, *, occlusion: bool) -> Trajectory:
-    """Where what each pixel sees lies in the key frame, by the scene itself."""
+    """Places in the key frame of what each pixel sees, by the scene itself."""
     moments = np.arange(0, frames - 1 + SPACING, SPACING)
     seen = [scene.seen(t, scale) for t in moments]
     position = np.stack([(p - (scale - 1) / 2) / scale for p, _ in seen]).astype(np.float32)

@@ -1,4 +1,4 @@
-"""How well masked pixels of a real recording are predicted, where there is no ground truth.
+"""Prediction of masked pixels of a real recording, which has no ground truth.
 
     python -m benchmarks.masked FILE [--size 400x250] [--scale 4] [--share 0.05] [--masks 1]
 

@@ -1,5 +1,6 @@
 """Recordings of pictures that come with scikit-image, made by a simulated camera, and problems made of them."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from scsr_opt import reconstruct
 from scsr_opt.camera.pictures import as_intensity
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import SamplingRule, Windows
-from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Translation
+from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Static, Translation, TurningDisc
 from scsr_opt.camera.simulator import Sensor, Simulation, simulate
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Motion
@@ -31,6 +32,14 @@ FRAMES = 101
 VELOCITY = (0.07, -0.12)
 """Sensor pixels per frame, down and right."""
 LIGHTS = {"day": Sensor(white_rate=0.6, photons=1000.0), "dim": Sensor(white_rate=0.1, photons=25.0)}
+SCENES: dict[str, Callable[[Any, Any], Scene]] = {
+    "static": lambda still, texture: Static(still),
+    "translate": lambda still, texture: Translation(still, velocity=(0.3, 0.5)),
+    "affine": lambda still, texture: Affine(still, rotation=0.002, zoom=0.001, drift=(0.2, 0.1)),
+    "object": lambda still, texture: MovingObject(still, texture, (0.6, 0.8)),
+    "fan": lambda still, texture: TurningDisc(still, texture, 0.004),
+}
+"""A scene of each kind, of a still and of the texture of what passes before it; high-resolution pixels per frame."""
 # λ that is validated for such stills at ×2, or nearly so (docs/choosing.md).
 USUAL_STRENGTH = 1.2e-3
 # Windows need 4 to 64 times the strength that intervals need (docs/data-term.md).

@@ -12,15 +12,14 @@ strength and gains: by how much the objective is above, and the largest change o
 """
 
 import argparse
-import time
 from collections.abc import Callable
 from statistics import median
 
 import numpy as np
 
-from benchmarks.skipping import tile_change, unskipped
+from benchmarks.skipping import opened, tile_change, unskipped
+from benchmarks.timing import in_turns
 from scsr_opt import Recording, Shortcuts, Solution, reconstruct, reconstruct_sequence
-from scsr_opt.camera import read_recording
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.clip import Clip
 
@@ -34,9 +33,8 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=4)
     parser.add_argument("--rounds", type=int, default=2)
     chosen = parser.parse_args()
-    path, _, size = chosen.file.partition(":")
     try:
-        recording = read_recording(path, size=size) if size else read_recording(path)
+        recording = opened(chosen.file)
         keys = range(chosen.first, chosen.first + chosen.pictures * chosen.step, chosen.step)
         print(table(recording, keys, chosen.scale, chosen.rounds))
     except InputError as error:
@@ -44,7 +42,7 @@ def main() -> None:
 
 
 def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
-    """Measures, prints a line for each round, and returns the table."""
+    """Measures and returns the table."""
 
     def alone(shortcuts: Shortcuts) -> list[Solution]:
         return [reconstruct(recording, scale=scale, key=key, shortcuts=shortcuts) for key in keys]
@@ -54,15 +52,8 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
         "from scratch": lambda: alone(Shortcuts()),
         "in full": lambda: alone(Shortcuts.none()),
     }
-    made: dict[str, list[Solution]] = {}
-    seconds: dict[str, list[float]] = {name: [] for name in ways}
-    for turn in range(1 + rounds):  # the first compiles
-        for name, make in ways.items():
-            begin = time.perf_counter()
-            made[name] = make()
-            if turn:
-                seconds[name].append((time.perf_counter() - begin) / len(keys))
-                print(f"round {turn}, {name}: {seconds[name][-1]:.2f} s a picture", flush=True)
+    made = {name: make() for name, make in ways.items()}  # compiles
+    seconds = {name: median(taken) / len(keys) for name, taken in in_turns(ways, rounds).items()}
     following = made["sequence"]
     carried = sum(bool(solution.diagnostics.motion_carried) for solution in following)
     lines = [
@@ -72,13 +63,12 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
         "|---|--:|--:|--:|--:|--:|",
     ]
     for name, solutions in made.items():
-        taken = median(seconds[name])
         iterations = median(solution.diagnostics.iterations for solution in solutions)
         pairs = list(zip(solutions, following, strict=True))
         tile = max(tile_change(one.image, other.image, scale) for one, other in pairs)
         rms = max(_difference(one, other) for one, other in pairs)
         lines.append(
-            f"| {name} | {taken:.2f} | {taken / median(seconds['sequence']):.2f} | {iterations:.0f} | "
+            f"| {name} | {seconds[name]:.2f} | {seconds[name] / seconds['sequence']:.2f} | {iterations:.0f} | "
             f"{tile:.2f} | {rms:.2f} |"
         )
     fifth = list(zip(keys, following, strict=True))[::5]
@@ -92,8 +82,8 @@ def table(recording: Recording, keys: range, scale: int, rounds: int) -> str:
 
 
 def _apart(recording: Recording, key: int, scale: int, solution: Solution) -> tuple[float, float]:
-    """Returns the objective of a picture above that of the full computation with its motion, relative, and the largest
-    change of a tile's mean."""
+    """Relative objective of a picture above that of the full computation with its motion, and the largest change of a
+    tile's mean."""
     assert solution.motion is not None
     λ = solution.diagnostics.strength or 0.0
     given = {"scale": scale, "key": key, "motion": solution.motion, "strength": λ, "gain": solution.gain}

@@ -10,7 +10,6 @@ the peak signal-to-noise ratios where the truth is known.
 """
 
 import argparse
-import time
 from collections.abc import Callable, Iterator
 from statistics import median
 from typing import NamedTuple
@@ -20,9 +19,10 @@ import numpy as np
 from jaxtyping import Float
 from skimage import color, data
 
+from benchmarks.recordings import SCENES
+from benchmarks.timing import in_turns
 from scsr_opt import Recording, Shortcuts, Solution, reconstruct
 from scsr_opt.camera import Intervals, Sensor, read_recording, simulate
-from scsr_opt.camera.scenes import Affine, MovingObject, Scene, Static, Translation, TurningDisc
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.errors import InputError
 from scsr_opt.motion import Automatic, Motion, estimate_motion
@@ -47,28 +47,26 @@ def simulated() -> Iterator[Case]:
     """Five scenes of 240×240 high-resolution pixels, 120×120 on the sensor."""
     still = color.rgb2gray(data.astronaut())[:240, 100:340]
     texture = data.brick()[:160, :160] / 255
-    scenes: dict[str, Scene] = {
-        "static": Static(still),
-        "translate": Translation(still, velocity=(0.3, 0.5)),
-        "affine": Affine(still, rotation=0.002, zoom=0.001, drift=(0.2, 0.1)),
-        "object": MovingObject(still, texture, (0.6, 0.8)),
-        "fan": TurningDisc(still, texture, 0.004),
-    }
-    for name, scene in scenes.items():
-        made = simulate(scene, scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=4)
+    for name, scene in SCENES.items():
+        made = simulate(scene(still, texture), scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=4)
         yield Case(name, Recording.from_array(made.spikes), 2, 101, made.truth(50))
 
 
 def given(files: list[str], scale: int, frames: int) -> Iterator[Case]:
     """Recordings in files."""
     for file in files:
-        path, _, size = file.partition(":")
-        recording = read_recording(path, size=size) if size else read_recording(path)
+        recording = opened(file)
         yield Case(recording.name, recording, scale, frames, None)
 
 
+def opened(file: str) -> Recording:
+    """The recording of `FILE` or, of a flat file, `FILE:WIDTHxHEIGHT`."""
+    path, _, size = file.partition(":")
+    return read_recording(path, size=size) if size else read_recording(path)
+
+
 def excess(case: Case, full: Solution, other: Solution) -> float:
-    """Returns the objective of `other` above that of `full`, relative, in the problem that nothing was skipped in."""
+    """Relative objective of `other` above that of `full`, in the problem that nothing was skipped in."""
     clip = Clip.around(case.recording, frames=case.frames)
     motion = estimate_motion(
         clip.spikes, key=clip.key, white_rate=clip.white_rate, estimator=Automatic(simple_motion=False)
@@ -120,20 +118,17 @@ def main() -> None:
 
 def row(case: Case, rounds: int) -> str:
     """A line of the table."""
-    taken: dict[bool, list[float]] = {False: [], True: []}
-    found: dict[bool, Solution] = {}
-    for turn in range(1 + rounds):  # the first compiles
-        for skip, shortcuts in ((False, Shortcuts.none()), (True, Shortcuts())):
-            begin = time.perf_counter()
-            found[skip] = reconstruct(case.recording, scale=case.scale, frames=case.frames, shortcuts=shortcuts)
-            if turn:
-                taken[skip].append(time.perf_counter() - begin)
-    full, skipping = found[False], found[True]
+
+    def solved(shortcuts: Shortcuts) -> Solution:
+        return reconstruct(case.recording, scale=case.scale, frames=case.frames, shortcuts=shortcuts)
+
+    full, skipping = solved(Shortcuts.none()), solved(Shortcuts())  # compiles
+    calls = {"full": lambda: solved(Shortcuts.none()).image, "skipping": lambda: solved(Shortcuts()).image}
+    slow, fast = (median(taken) for taken in in_turns(calls, rounds).values())
     change = tile_change(full.image, skipping.image, case.scale)
     quality = "-"
     if case.truth is not None:
         quality = " → ".join(f"{psnr(case.truth, s.image, 4 * case.scale):.2f}" for s in (full, skipping))
-    slow, fast = median(taken[False]), median(taken[True])
     return (
         f"| {case.name} ×{case.scale} | {slow:.2f} | {fast:.2f} | {slow / fast:.2f} | "
         f"{100 * excess(case, full, skipping):.3f} % | {change:.3f} | {quality} |"

@@ -69,23 +69,23 @@ def compilations() -> Iterator[list[float]]:
     """Seconds of each compilation within it, those included that found their program in the cache folder."""
     found: list[float] = []
 
-    def heard(event: str, duration_secs: float, **_: Any) -> None:
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
         if event.endswith("/backend_compile_duration"):
             found.append(duration_secs)
 
-    jax.monitoring.register_event_duration_secs_listener(heard)
+    jax.monitoring.register_event_duration_secs_listener(listen)
     try:
         yield found
     finally:
-        jax.monitoring.unregister_event_duration_listener(heard)
+        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 class Program(NamedTuple):
     """A compiled function as XLA sees it.
 
-    **Fields:** `flops` and `moved` (bytes that its operations read and write, one
-    by one, intermediate results included), None where XLA does not tell; `fusions`: how many fused kernels it calls;
-    `memory`: bytes of its arguments, results and temporary arrays together. `call()` runs it.
+    **Fields:** `flops` and `moved` (bytes that its operations read and write, one by one, intermediate results
+    included), None where XLA does not count them; `fusions`: how many fused kernels it calls; `memory`:
+    bytes of its arguments, results and temporary arrays together. `call()` runs it.
 
     The body of a loop is counted once.
     """
@@ -105,12 +105,12 @@ def program(function: Callable[..., Any], *arguments: Any) -> Program:
         return jax.tree.leaves(eqx.filter(function(*eqx.combine(arrays, rest)), eqx.is_array))
 
     compiled = jax.jit(pure).lower(arrays).compile()
-    told, sizes = compiled.cost_analysis() or {}, compiled.memory_analysis()
-    assert sizes is not None  # told of every program that is compiled for a CPU
+    costs, sizes = compiled.cost_analysis() or {}, compiled.memory_analysis()
+    assert sizes is not None  # known of every program that is compiled for a CPU
     memory = sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes
     return Program(
-        float(told["flops"]) if told.get("flops", -1) >= 0 else None,
-        float(told["bytes accessed"]) if told.get("bytes accessed", -1) >= 0 else None,
+        float(costs["flops"]) if costs.get("flops", -1) >= 0 else None,
+        float(costs["bytes accessed"]) if costs.get("bytes accessed", -1) >= 0 else None,
         len(re.findall(r" fusion\(", compiled.as_text() or "")),
         int(memory - sizes.alias_size_in_bytes),
         lambda: compiled(arrays),
@@ -119,7 +119,7 @@ def program(function: Callable[..., Any], *arguments: Any) -> Program:
 
 class Peak:
     """The most memory that this process has held since the last `reset`, beyond what it held then, bytes; None where
-    the system does not tell (elsewhere than on Linux). What the process keeps of memory that it no longer uses is
+    the system does not report it (elsewhere than on Linux). What the process keeps of memory that it no longer uses is
     handed back first, so that the next call takes longer: not one to be timed."""
 
     def __init__(self):
@@ -163,5 +163,5 @@ def keeping_memory() -> Iterator[None]:
 
 
 def memory_available() -> int | None:
-    """Bytes that could be taken now; None where the system does not tell."""
+    """Bytes that could be taken now; None where the system does not report it."""
     return system_bytes("/proc/meminfo", "MemAvailable")

@@ -1,11 +1,12 @@
 """Networks that unroll the iteration of `scsr_opt` (paper, Eq. 5) up to SpikeSR-Net (Eq. 6-14).
 
-`load_model("spikesr-small-x4")(recording, key=100)` is the door; `learned.zoo` lists all models. The learned ones are
-functions of this package as well, from `spikes`, (frames, rows, columns) of 0 and 1 or a `Recording`, to a `Solution`.
-Nothing is imported before one is called.
+`load_model("spikesr-small-x4")(recording, key=100)` gives a `Solution`; `learned.zoo` lists all models. Models with
+learned parts are also functions of this package: `learned.ridge_centred(spikes, scale=4, key=100, white_rate=0.6)` of
+`spikes` (frames, rows, columns) of 0 and 1 or a `Recording`. Nothing is imported before one is called.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 
@@ -16,51 +17,36 @@ def load_model(model_id: str) -> Any:
     return load_model(model_id)
 
 
-def ridge(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """Eq. 4 with the convex `scsr_opt.priors.RidgeRegulariser` as its prior."""
-    return _rung("ridge", scale)(spikes, scale=scale, key=key, white_rate=white_rate)
-
-
-def ridge_centred(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`ridge`, and once more about what `learned.networks.restoration.RestorationNet` makes of that solution."""
-    return _rung("ridge-centred", scale)(spikes, scale=scale, key=key, white_rate=white_rate)
-
-
-def unrolled(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.networks.unrolled_ista.UnrolledISTA`."""
-    return _picture("unrolled", spikes, scale=scale, key=key, white_rate=white_rate)
-
-
-def unrolled_pase(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.networks.unrolled_ista_pase.UnrolledPASE`."""
-    return _picture("unrolled-pase", spikes, scale=scale, key=key, white_rate=white_rate)
-
-
-def spikesr_small(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.networks.spikesr.SpikeSRNet`, small."""
-    return _picture("spikesr-small", spikes, scale=scale, key=key, white_rate=white_rate)
-
-
-def spikesr_full(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
-    """`learned.networks.spikesr.SpikeSRNet`, about as large as the paper's."""
-    return _picture("spikesr-full", spikes, scale=scale, key=key, white_rate=white_rate)
-
-
-def compare_stages(*given: Any, **options: Any) -> Any:
-    """`learned.evaluation.compare.compare_stages`: optimizers and networks laid side by side, stage by stage."""
+def compare_stages(*positional: Any, **options: Any) -> Any:
+    """`learned.evaluation.compare.compare_stages`: optimizers and networks side by side, stage by stage."""
     from learned.evaluation.compare import compare_stages
 
-    return compare_stages(*given, **options)
-
-
-def _picture(name: str, spikes: Any, *, scale: int, **given: Any) -> Any:
-    """Without a record of the network's stages, which takes time of its own."""
-    return _rung(name, scale)(spikes, scale=scale, record=False, **given)
+    return compare_stages(*positional, **options)
 
 
 @functools.cache
-def _rung(name: str, scale: int) -> Any:
-    """A rung whose weights are read once, however often it is called."""
+def _model(name: str, scale: int) -> Any:
+    """A model whose weights are read once, however often it is called."""
     from learned.zoo import model
 
     return model(name, scale)
+
+
+def _function_of(name: str, description: str, **options: Any) -> Callable[..., Any]:
+    def picture(spikes: Any, *, scale: int, key: int | None = None, white_rate: Any = None) -> Any:
+        return _model(name, scale)(spikes, scale=scale, key=key, white_rate=white_rate, **options)
+
+    picture.__name__ = picture.__qualname__ = name.replace("-", "_")
+    picture.__doc__ = description
+    return picture
+
+
+ridge = _function_of("ridge", "Eq. 4 with the convex `scsr_opt.priors.RidgeRegulariser` as its prior.")
+ridge_centred = _function_of("ridge-centred", "`ridge` twice, the second time centred at a network's restoration.")
+# The stages of networks are not recorded here, which takes longer than the network itself.
+unrolled = _function_of("unrolled", "`learned.networks.unrolled_ista.UnrolledISTA`.", record=False)
+unrolled_pase = _function_of("unrolled-pase", "`learned.networks.unrolled_ista_pase.UnrolledPASE`.", record=False)
+spikesr_small = _function_of("spikesr-small", "`learned.networks.spikesr.SpikeSRNet`, small.", record=False)
+spikesr_full = _function_of(
+    "spikesr-full", "`learned.networks.spikesr.SpikeSRNet`, as large as the paper's.", record=False
+)

@@ -1,20 +1,20 @@
-"""The ladder of models with one face: from ISTA with total variation to the full SpikeSR-Net.
+"""All models by name: from ISTA with total variation to the full SpikeSR-Net.
 
-`model(name, scale)` gives a rung; `rung(spikes, scale=…)` gives a `Solution`, whose stages are recorded alike: those of
-an optimizer as its solver records them, those of a network by Eq. 4 at its own iterates, with Huber-TV for a prior and
+`model(name, scale)` gives a model; `model(…)(spikes, scale=…)` gives a `Solution`. Its stages are recorded alike: those
+of an optimizer by its solver, those of a network by Eq. 4 at the network's own iterates, with Huber-TV as the prior and
 the data term and strength that `reconstruct` would use with it.
 
-| name | what it is |
+| name | model |
 |---|---|
 | `ista-tv`, `fista-tv` | Eq. 5, plain and accelerated, with total variation |
-| `fista-huber` | with Huber-TV: what `reconstruct` does by default above a scale of 3 |
-| `ridge`, `ridge-weakly` | with a learned prior (`RidgeRegulariser`), convex and weakly convex: by default up to 3 |
+| `fista-huber` | Huber-TV: the default of `reconstruct` above a scale of 3 |
+| `ridge`, `ridge-weakly` | a learned prior (`RidgeRegulariser`), convex (the default up to 3) and weakly convex |
 | `ridge-centred` | `ridge`, then once more, centred at a network's restoration of it (`learned.networks.restoration`) |
 | `unrolled`, `unrolled-pase` | ISTA unrolled, with learned steps; on spike intervals, or on encoded spikes |
 | `spikesr-small`, `spikesr-full` | SpikeSR-Net |
 
-A network needs weights: `checkpoints/<name>-x<scale>.scsr`, or the path of a `.scsr` file in the place of a name. A
-name with its scale, `spikesr-small-x4`, is the id of a model: of its weights, of the configuration that trains it
+A network needs weights: `checkpoints/<name>-x<scale>.scsr`, or the path of a `.scsr` file instead of a name. A name
+with its scale, `spikesr-small-x4`, is the id of a model: of its weights, of the configuration that trains it
 (`scsr train spikesr-small-x4`), and for `learned.load_model`.
 """
 
@@ -34,13 +34,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from learned.evaluation.inference import Call, Run, call, check_stages, run
-from learned.evaluation.reference_problem import (
-    PRIOR,
-    ReferenceClip,
-    ReferenceProblem,
-    reference_clip,
-    reference_problem,
-)
+from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, reference_problem, reference_task
 from learned.evaluation.stages import stages_of
 from learned.networks.restoration import RestorationNet, first_prior, restored
 from learned.training import checkpoint
@@ -53,6 +47,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.strength import relative_strength
+from scsr_opt.pipeline.task import Task
 from scsr_opt.priors.centred import Centred
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
@@ -74,7 +69,7 @@ OPTIMIZERS: dict[str, Callable[[], tuple[Prior, Solver]]] = {
     "ridge-weakly": lambda: (RidgeRegulariser.load("weakly_convex"), FISTA()),
 }
 CENTRED = "ridge-centred"
-# All that needs weights of its own, the optimizer among them whose prior a network centres.
+# Models that need weights, among them the optimizer whose prior a network centres.
 NETWORKS = (CENTRED, "unrolled", "unrolled-pase", "spikesr-small", "spikesr-full")
 
 
@@ -94,87 +89,65 @@ class Optimizer:
         key: SupportsIndex | None = None,
         white_rate: SupportsFloat | None = None,
         start: Float[Array | np.ndarray, "H W"] | None = None,
-        keep_images: bool = False,
-        progress: Progress | None = None,
+        **options: Any,
     ) -> Solution:
-        """The picture of a moment (`reconstruct`); `start` (H, W) stands in for the first picture X^(0).
+        """The picture of a key frame.
 
-        **Raises:** `InputError` if something handed in cannot be used.
+        **Arguments:** as of `reconstruct` (`options`: `keep_images`, `progress`), and `start` (H, W), which replaces
+        the initial image X^(0).
+
+        **Raises:** `InputError` for an argument that cannot be used.
         """
-        check_progress(progress)
-        if start is not None:
-            posed = reference_problem(
-                reference_clip(spikes, scale=scale, key=key, white_rate=white_rate), prior=self.prior
-            )
-            return self.solve(posed, start=start, keep_images=keep_images, progress=progress)
-        return reconstruct(
-            spikes,
-            scale=scale,
-            key=key,
-            white_rate=white_rate,
-            prior=self.prior,
-            solver=self.solver,
-            keep_images=keep_images,
-            progress=progress,
-        )
+        clip: dict[str, Any] = {"scale": scale, "key": key, "white_rate": white_rate}
+        if start is None:
+            return reconstruct(spikes, **clip, prior=self.prior, solver=self.solver, **options)
+        return self.solve(reference_problem(reference_task(spikes, **clip), prior=self.prior), start=start, **options)
 
     def solve(
-        self,
-        posed: ReferenceProblem,
-        *,
-        start: Float[Array | np.ndarray, "H W"] | None = None,
-        keep_images: bool = False,
-        progress: Progress | None = None,
+        self, posed: ReferenceProblem, *, start: Float[Array | np.ndarray, "H W"] | None = None, **options: Any
     ) -> Solution:
-        """The same with motion, gain and strength as they are posed, and the model's own prior."""
-        problem = self.problem(posed)
-        state = None
+        """The picture with motion, gain and strength of the problem `posed`, and the model's own prior."""
+        problem, state = self.problem(posed), None
         if start is not None and posed.usable:
-            state = _state(self.solver, problem, _picture(posed.clip, start))
+            state = _state(self.solver, problem, _checked_start(posed.task, start))
         return reconstruct(
-            posed.clip.recording,
-            scale=posed.clip.scale,
-            key=posed.clip.key,
-            white_rate=posed.clip.clip.white_rate,
+            posed.task.recording,
+            **_clip_of(posed.task),
             motion=posed.motion,
             gain=posed.gain,
             prior=self.prior,
             strength=float(problem.strength),
             solver=self.solver,
             state=state,
-            keep_images=keep_images,
-            progress=progress,
+            **options,
         )
 
     def check(self, scale: int) -> None:
-        """Raises nothing: it can be used at every scale."""
+        """Raises nothing: an optimizer works at every scale."""
 
     def problem(self, posed: ReferenceProblem) -> Problem:
-        """The problem of the first iteration: with the model's own prior, and as much of it as is posed."""
+        """The problem of the first iteration, with the model's own prior and its share of the strength."""
         share = relative_strength(self.prior) / relative_strength(posed.prior)
         data = posed.problem(posed.first).data
         return Problem(data, self.prior, posed.strength * np.float32(share))
 
 
-# λ of the second solve, in those of the first: 1 to 4 differ by 0.01 dB, as what is restored agrees with the data.
-_STRONGER = 2.0
-
-
 @dataclass(frozen=True)
 class CentredOptimizer(Optimizer):
     """Eq. 4 solved as by `Optimizer`, the solution restored by a network, and Eq. 4 solved again with the prior centred
-    there, λ twice as large (`learned.networks.restoration`).
+    there and a larger λ (`learned.networks.restoration`).
 
-    Of the `Solution`, `stages` are those of both solves, the first `diagnostics.first_iterations` of them of the first;
-    the objective is that of the solve that a stage belongs to. Among the seconds are those of the `first solve` and of
-    `restoring`. Where the first solve fails, or there is nothing to solve for, or what the network makes is not finite
-    (`Status.non_finite`), the first solution is returned. Where gains of pixels are not handed in, each solve finds its
-    own.
+    `Solution.stages` are those of both solves, the first `diagnostics.first_iterations` of them of the first; an
+    objective is that of the solve that the stage belongs to. `diagnostics.seconds` names `first solve` and `restoring`.
+    The first solution is returned where the first solve fails, where there is no sample, and where the network's
+    picture is not finite (`Status.non_finite`). Where gains are not given, each solve finds its own.
 
-    **Fields:** as of `Optimizer`, and `path` of the network's weights.
+    **Fields:** as of `Optimizer`; `path` of the network's weights; `strength_ratio`, λ of the second solve over that of
+    the first: 1 to 4 differ by 0.01 dB, as the restored picture agrees with the data.
     """
 
     path: Path
+    strength_ratio: float = 2.0
 
     @cached_property
     def net(self) -> RestorationNet:
@@ -192,49 +165,27 @@ class CentredOptimizer(Optimizer):
         key: SupportsIndex | None = None,
         white_rate: SupportsFloat | None = None,
         start: Float[Array | np.ndarray, "H W"] | None = None,
-        keep_images: bool = False,
-        progress: Progress | None = None,
+        **options: Any,
     ) -> Solution:
-        """As of `Optimizer`; `start` is for the first solve.
+        """The picture of a key frame; arguments as of `Optimizer`, `start` for the first solve.
 
-        **Raises:** `InputError` if something handed in cannot be used, or the network is for another scale.
+        **Raises:** `InputError` for an argument that cannot be used, or another scale than the network's.
         """
         self.check(whole(scale, "scale", 1))
-        first = super().__call__(
-            spikes,
-            scale=scale,
-            key=key,
-            white_rate=white_rate,
-            start=start,
-            keep_images=keep_images,
-            progress=progress,
-        )
-        if start is not None:  # posed, and solved twice
+        clip: dict[str, Any] = {"scale": scale, "key": key, "white_rate": white_rate}
+        first = super().__call__(spikes, **clip, start=start, **options)
+        if start is not None:  # by `solve`, which has solved twice
             return first
-        again = functools.partial(reconstruct, spikes, scale=scale, key=key, white_rate=white_rate)
-        return self._again(first, again, keep_images=keep_images, progress=progress)
+        return self._again(first, functools.partial(reconstruct, spikes, **clip), **options)
 
     def solve(
-        self,
-        posed: ReferenceProblem,
-        *,
-        start: Float[Array | np.ndarray, "H W"] | None = None,
-        keep_images: bool = False,
-        progress: Progress | None = None,
+        self, posed: ReferenceProblem, *, start: Float[Array | np.ndarray, "H W"] | None = None, **options: Any
     ) -> Solution:
-        """As of `Optimizer`, both solves with motion and gain as they are posed."""
-        here = posed.clip
-        self.check(here.scale)
-        first = super().solve(posed, start=start, keep_images=keep_images, progress=progress)
-        again = functools.partial(
-            reconstruct,
-            here.recording,
-            scale=here.scale,
-            key=here.key,
-            white_rate=here.clip.white_rate,
-            gain=posed.gain,
-        )
-        return self._again(first, again, keep_images=keep_images, progress=progress)
+        """The picture with motion and gain of the problem `posed` in both solves."""
+        self.check(posed.task.scale)
+        first = super().solve(posed, start=start, **options)
+        again = functools.partial(reconstruct, posed.task.recording, **_clip_of(posed.task), gain=posed.gain)
+        return self._again(first, again, **options)
 
     def check(self, scale: int) -> None:
         """**Raises:** `InputError` if the network is for another scale, or its file cannot be used."""
@@ -245,7 +196,7 @@ class CentredOptimizer(Optimizer):
             return first
         begin = time.perf_counter()
         strength = first.diagnostics.strength
-        assert strength is not None  # a solve that was usable had one
+        assert strength is not None  # a usable solve has one
         centre = restored(self.net, jnp.asarray(first.image), np.float32(strength))
         if not bool(jnp.isfinite(centre).all()):
             return dataclasses.replace(first, status=Status.non_finite)
@@ -253,7 +204,7 @@ class CentredOptimizer(Optimizer):
         restoring = time.perf_counter() - begin
         solution = again(
             prior=prior,
-            strength=_STRONGER * strength,
+            strength=self.strength_ratio * strength,
             solver=self.solver,
             motion=first.motion,
             state=first.state._replace(image=centre, prior=prior.initial_state(centre)),
@@ -294,7 +245,7 @@ class Network:
 
     @property
     def card(self) -> checkpoint.Card:
-        """What the file says of it."""
+        """Origin, sizes and scores of the network, as its file has them."""
         return self._loaded[1]
 
     def __call__(
@@ -305,30 +256,27 @@ class Network:
         key: SupportsIndex | None = None,
         white_rate: SupportsFloat | None = None,
         start: Float[Array | np.ndarray, "H W"] | None = None,
-        keep_images: bool = False,
         record: bool = True,
-        progress: Progress | None = None,
+        **options: Any,
     ) -> Solution:
-        """The picture of a moment.
+        """The picture of a key frame.
 
-        **Arguments:** as of `reconstruct`, and
-        - `start`: (H, W), in the place of the network's own X^(0).
-        - `record`: whether the stages are measured by Eq. 4. That takes the motion, the samples and the strength that
-          an optimizer would use, and several times as long as the network itself.
+        **Arguments:** as of `Optimizer`, and `record`: whether the stages are measured by Eq. 4. That takes the motion,
+        samples and strength that an optimizer would use, and several times as long as the network itself.
 
-        **Returns:** `Solution`; its `status` is `stages_done`.
+        **Returns:** `Solution` with the status `stages_done`.
 
-        **Raises:** `InputError` if something handed in cannot be used, or the network is for another scale.
+        **Raises:** `InputError` for an argument that cannot be used, or another scale than the network's.
         """
-        check_progress(progress)
-        here = reference_clip(spikes, scale=scale, key=key, white_rate=white_rate)
+        check_progress(options.get("progress"))
+        task = reference_task(spikes, scale=scale, key=key, white_rate=white_rate)
         if record:
-            return self.solve(reference_problem(here), start=start, keep_images=keep_images, progress=progress)
-        if not here.clip.spikes.any():
-            return _nothing(here)
+            return self.solve(reference_problem(task), start=start, **options)
+        if not task.clip.spikes.any():
+            return _solution(task)
         begin = time.perf_counter()
-        found = self.run(here, start)
-        return _solution(here, found, (), time.perf_counter() - begin)
+        found = self.run(task, start)
+        return _solution(task, found, seconds=time.perf_counter() - begin)
 
     def solve(
         self,
@@ -338,37 +286,37 @@ class Network:
         keep_images: bool = False,
         progress: Progress | None = None,
     ) -> Solution:
-        """The same, measured by the problem that is posed."""
+        """The picture of the clip of `posed`, its stages measured by that problem."""
         check_progress(progress)
         if not posed.usable:
-            return _nothing(posed.clip)
+            return _solution(posed.task)
         if progress is not None:
             progress.start(None, self.name)
         try:
             begin = time.perf_counter()
-            found = self.run(posed.clip, start, posed.motion)
+            found = self.run(posed.task, start, posed.motion)
             seconds = time.perf_counter() - begin
             stages = stages_of(posed, found, seconds=seconds, keep_images=keep_images)
         finally:
             if progress is not None:
                 progress.finish()
-        return _solution(posed.clip, found, stages, seconds, float(posed.strength))
+        return _solution(posed.task, found, stages, seconds, float(posed.strength))
 
     def run(
-        self, here: ReferenceClip, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
+        self, task: Task, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
     ) -> Run:
         """R^(t) and X^(t) of all stages. **Arguments** and **Raises:** as `call`."""
-        return run(self.call(here, start, motion))
+        return run(self.call(task, start, motion))
 
     def call(
-        self, here: ReferenceClip, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
+        self, task: Task, start: Float[Array | np.ndarray, "H W"] | None = None, motion: Motion | None = None
     ) -> Call:
-        """How the network is called for this moment; `motion` is for the networks that use one, if it is known.
+        """The network and its arguments for the clip of a task; `motion` is for the networks that use one, if known.
 
-        **Raises:** `InputError` if the network is for another scale, or `start` is no picture of this moment.
+        **Raises:** `InputError` if the network is for another scale, or `start` is no picture of this clip.
         """
-        self.check(here.scale)
-        return call(self.net, self.card, here, None if start is None else _picture(here, start), motion)
+        self.check(task.scale)
+        return call(self.net, self.card, task, None if start is None else _checked_start(task, start), motion)
 
     def check(self, scale: int) -> None:
         """**Raises:** `InputError` if the network is for another scale."""
@@ -387,12 +335,12 @@ class LoadedModel:
     scale: int
 
     def __call__(self, spikes: ArrayLike | Recording, **options: Any) -> Solution:
-        """The picture of a moment; `options` as of `Optimizer` or `Network` (`key`, `white_rate`, …)."""
+        """The picture of a key frame; `options` as of `Optimizer` or `Network` (`key`, `white_rate`, …)."""
         return self.model(spikes, scale=self.scale, **options)
 
 
 def load_model(model_id: str) -> LoadedModel:
-    """The model of an id: a name of the ladder and a scale, `ridge-x2`, `spikesr-small-x4`.
+    """The model of an id, a name and a scale: `ridge-x2`, `spikesr-small-x4`.
 
     **Raises:** `InputError` if there is no such model, or no weights for its scale.
     """
@@ -405,11 +353,10 @@ def load_model(model_id: str) -> LoadedModel:
     return LoadedModel(model_id, model(name, int(scale)), int(scale))
 
 
-def _check_scale(path: Path, trained: int, asked: int) -> None:
-    if trained != asked:
+def _check_scale(path: Path, trained: int, scale: int) -> None:
+    if trained != scale:
         raise InputError(
-            f"{path.name} was trained for scale {trained}, but scale {asked} was asked for; take that, or another "
-            f"network."
+            f"{path.name} was trained for scale {trained}, but scale {scale} is wanted: take another network."
         )
 
 
@@ -417,9 +364,9 @@ Model = Optimizer | Network
 
 
 def model(name: str, scale: int) -> Model:
-    """The rung of this name for a scale; a path that ends in `.scsr` is a network of its own.
+    """The model of this name for a scale; the name may be the path of a `.scsr` file.
 
-    **Raises:** `InputError` if there is no such rung, no weights for it, or no device for JAX to run on.
+    **Raises:** `InputError` if there is no such model, no weights for it, or no device for JAX to run on.
     """
     ready()  # priors and weights are arrays of JAX's
     if name in OPTIMIZERS:
@@ -429,7 +376,7 @@ def model(name: str, scale: int) -> Model:
         network = Network(name, Path(name))
         if isinstance(network.net, RestorationNet):
             return _centred(name, network.path)
-        check_stages(network.net, network.card)  # and a file that cannot be read is found out here
+        check_stages(network.net, network.card)  # reads the file, too
         return network
     if name not in NETWORKS:
         raise InputError(
@@ -451,7 +398,7 @@ def _centred(name: str, path: Path) -> CentredOptimizer:
 
 
 def names(scale: int) -> list[str]:
-    """The models that can be used at this scale as things are: optimizers, and networks whose weights are there."""
+    """The models for this scale: optimizers, and networks whose weights exist."""
     return [*OPTIMIZERS, *(name for name in NETWORKS if _weights(name, scale).is_file())]
 
 
@@ -459,42 +406,44 @@ def _weights(name: str, scale: int) -> Path:
     return CHECKPOINTS / f"{name}-x{scale}.scsr"
 
 
-def _picture(here: ReferenceClip, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:
-    """`start` as a picture of this moment. **Raises:** `InputError` if it is none."""
+def _checked_start(task: Task, start: Float[Array | np.ndarray, "H W"]) -> Float[Array, "H W"]:
+    """`start` as a picture of this clip. **Raises:** `InputError` if it is none."""
     image = as_array(start, "start").astype(np.float32)  # a copy
-    if image.shape != here.shape or not np.isfinite(image).all():
+    if image.shape != task.shape or not np.isfinite(image).all():
         raise InputError(
             f"start has shape {image.shape} and {int((~np.isfinite(image)).sum())} values that are not finite; a "
-            f"picture of this recording at scale {here.scale} has shape {here.shape} and none."
+            f"picture of this recording at scale {task.scale} has shape {task.shape} and none."
         )
     return jnp.asarray(image)
 
 
-def _known(here: ReferenceClip) -> dict[str, Any]:
-    """Fields that every `Solution` of this clip has."""
-    known = {"recording": here.recording, "scale": here.scale, "key": here.key}
-    return known | {"white_rate": here.clip.white_rate}
-
-
-def _nothing(here: ReferenceClip) -> Solution:
-    return Solution(image=np.zeros(here.shape, np.float32), status=Status.no_samples, **_known(here))
+def _clip_of(task: Task) -> dict[str, Any]:
+    """Arguments of `reconstruct` that name this clip."""
+    return {"scale": task.scale, "key": task.clip.key_frame, "white_rate": task.clip.white_rate}
 
 
 def _solution(
-    here: ReferenceClip, found: Run, stages: tuple[Stage, ...], seconds: float, strength: float | None = None
+    task: Task,
+    found: Run | None = None,
+    stages: tuple[Stage, ...] = (),
+    seconds: float = 0.0,
+    strength: float | None = None,
 ) -> Solution:
+    """The result of a network; without `found`, that of a clip without a spike."""
+    known = {"recording": task.recording, **_clip_of(task)}
+    if found is None:
+        return Solution(image=np.zeros(task.shape, np.float32), status=Status.no_samples, **known)
     images = np.array(found.images)
     finite = [image for image in images if np.isfinite(image).all()]
-    diagnostics = Diagnostics(
-        iterations=len(images),
-        strength=strength,
-        objective=stages[-1].objective if stages else None,
-        seconds={"network": seconds},
-    )
     return Solution(
-        image=np.array(finite[-1]) if finite else np.zeros(images.shape[1:], np.float32),
+        image=np.array(finite[-1]) if finite else np.zeros(task.shape, np.float32),
         status=Status.stages_done if len(finite) == len(images) else Status.non_finite,
         stages=stages,
-        diagnostics=diagnostics,
-        **_known(here),
+        diagnostics=Diagnostics(
+            iterations=len(images),
+            strength=strength,
+            objective=stages[-1].objective if stages else None,
+            seconds={"network": seconds},
+        ),
+        **known,
     )

@@ -103,8 +103,8 @@ def _whole(found: dict[str, Any]) -> list[str]:
             for row in rows
             if row["kind"] != TWICE and beats(row, usual, chance(rows))
         )
-        said = f"**{case}** ({'; '.join(usual['recordings'])}): the default {verdict} on the front"
-        parts.append(said + (f", beaten by {over}." if over else "."))
+        text = f"**{case}** ({'; '.join(usual['recordings'])}): the default {verdict} on the front"
+        parts.append(text + (f", beaten by {over}." if over else "."))
         lines = []
         for row in sorted(rows, key=lambda row: -np.mean(row["psnr"])):
             times = spread(np.ravel(row["seconds"]))
@@ -161,11 +161,11 @@ def _roofline(found: dict[str, Any]) -> list[str]:
         "GB/s of a copy", "share of the limit",
     ]  # fmt: skip
     (height, width), (frames, rows, columns, scale) = found["shape"], found["accumulated"]
-    said = (
+    text = (
         f"Pictures of {height}×{width}, float32; samples of {frames} frames of {columns}×{rows} pixels at ×{scale}. A "
         f"product of matrices comes to {found['peak_operations'] / _GIGA:.0f} Gop/s."
     )
-    return ["### How far from what memory allows", said, table(head, [line(row) for row in found["kernels"]])]
+    return ["### How far from what memory allows", text, table(head, [line(row) for row in found["kernels"]])]
 
 
 _SECTIONS: dict[str, Callable[[Any], list[str]]] = {

@@ -149,8 +149,8 @@ def _roofline(found: dict[str, Any]) -> Figure:
     bandwidths = [bandwidth for _, bandwidth in found["copies"]]
     for bandwidth, style in ((max(bandwidths), "--"), (min(bandwidths), "-")):
         limit = np.minimum(density * bandwidth, found["peak_operations"]) / 1e9
-        said = f"copy, {bandwidth / 1e9:.0f} GB/s"
-        axes.loglog(density, limit, color="k", linewidth=0.8, linestyle=style, label=said)
+        label = f"copy, {bandwidth / 1e9:.0f} GB/s"
+        axes.loglog(density, limit, color="k", linewidth=0.8, linestyle=style, label=label)
     peak = found["peak_operations"] / 1e9
     axes.axhline(peak, color="grey", linewidth=0.8, label=f"product of matrices, {peak:.0f} Gop/s")
     for number, row in enumerate(rows):

@@ -1,4 +1,4 @@
-"""How time and memory grow with the number of frames and with the sensor, part by part of `reconstruct`."""
+"""Growth of time and memory with the number of frames and with the sensor, part by part of `reconstruct`."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""How much `benchmarks.bench` does: in full, and with `--quick`."""
+"""Amount of work of `benchmarks.bench`: in full, and with `--quick`."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ from benchmarks.recordings import FRAMES
 
 
 class Size(NamedTuple):
-    """How much `benchmarks.bench` does.
+    """Amount of work of `benchmarks.bench`.
 
     **Fields:**
     - `scales`: of solvers and whole reconstructions.

@@ -75,7 +75,7 @@ def difference(shape: tuple[int, int]) -> tuple[sp.csr_array, sp.csr_array]:
 
 
 def _share(w: Float[np.ndarray, "2 n"], δw: Float[np.ndarray, "2 n"]) -> float:
-    """How much of δw may be added so that |w| stays below 1; at most all of it."""
+    """The share of δw, at most 1, that may be added so that |w| stays below 1."""
     square, product = np.sum(δw**2, axis=0), np.sum(w * δw, axis=0)
     room = np.maximum(1 - np.sum(w**2, axis=0), 0)
     # The positive root of |w + s δw| = 1, written so that a small δw loses no digits.

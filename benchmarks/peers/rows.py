@@ -31,8 +31,8 @@ class Method(NamedTuple):
 
     **Fields:**
     - `name`: algorithm and settings.
-    - `prepare`: makes a run of so many iterations from the start, which returns the picture, on the host. Only the run
-      is timed.
+    - `prepare`: makes a run of some iterations from the start, which returns the picture, on the host. Only the run is
+      timed.
     - `most`: after how many iterations to give up.
     """
 

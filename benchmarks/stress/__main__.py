@@ -5,7 +5,7 @@
 Every solver and prior is tried on precisions, scales, sizes, lights, motions, bad pixels, strengths, step sizes and
 first pictures from ordinary to absurd. Every case has to end in a finite picture or a named failure, twice the same;
 float32 has to agree with float64 within derived bounds (`benchmarks.stress.bounds`), the objective to fall where theory
-says so, derivatives to be finite. The exit code is 1 if a case fails.
+promises it, derivatives to be finite. The exit code is 1 if a case fails.
 """
 
 import itertools
@@ -33,7 +33,7 @@ def measure(options: command.Options) -> Iterator[dict[str, Any]]:
 
 
 def measured(chosen: list[Case], progress: Progress, *, quick: bool, workers: int) -> dict[str, Any]:
-    """Runs cases in so many processes (1: in this one). Returns `programs`, how many there are; the `cases`, their
+    """Runs cases in `workers` processes (1: in this one). Returns `programs`, how many there are; the `cases`, their
     axes with what was found; and `conditions`, the condition numbers if cases of that family are among them."""
     groups = [list(group) for _, group in itertools.groupby(chosen, lambda case: case.program)]
     rows: list[dict[str, Any]] = []

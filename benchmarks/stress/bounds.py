@@ -9,9 +9,9 @@ g = λ(φ(KX) + φ*(p) − ⟨KX, p⟩). As f is convex and p a subgradient of �
 
     F(X) − F(Y) ≤ g + ⟨r, X − Y⟩ ≤ g + ‖r‖ ‖X − Y‖.                                                              (1)
 
-A solver says how small ‖r‖ is: its residual ρ (`Stage.residual`) is a step's length over ‖X‖, so that exact arithmetic
-has ‖r‖ ≤ max(1, βL − 1) ρ‖X‖/β (a proximal-gradient step changes ∇f along it by βH, 0 ≤ H ≤ L). What is tested is that
-the ρ that a solver reports keeps this promise in finite precision, where r differs by
+A solver reports how small ‖r‖ is: its residual ρ (`Stage.residual`) is a step's length over ‖X‖; in exact arithmetic
+it has ‖r‖ ≤ max(1, βL − 1) ρ‖X‖/β (a proximal-gradient step changes ∇f along it by βH, 0 ≤ H ≤ L). The test is that the
+reported ρ keeps this promise in finite precision, where r differs by
 
     ‖e‖ ≤ k·u ‖Bᵀ(M B|X| + c)‖ + k·u (‖X‖ + ‖R‖ + βλ‖K‖‖p‖)/β,     k = a + d,                                       (2)
 

@@ -49,11 +49,11 @@ def page(result: dict[str, Any], stem: str) -> str:
     parts += ["### What was required", _checks(rows), "### How the cases ended"]
     parts += [_outcomes(rows, axis, head) for axis, head in AXES.items()]
     if any("agrees with float64" in row["checks"] for row in rows):
-        said = (
+        text = (
             "ΔF/F is that of cases whose first picture is grey, zero or noise, and whose minimum is not next to 0 "
             "beside what it is added up from; the bound's share is that of all."
         )
-        parts += ["### Against float64", said, _agreement(rows)]
+        parts += ["### Against float64", text, _agreement(rows)]
     if result["conditions"]:
         parts += ["### Condition numbers", _conditions(result["conditions"])]
     return "\n\n".join(parts)
@@ -66,7 +66,7 @@ def fault(row: Row) -> str:
 
 
 def _outcomes(rows: list[Row], axis: str, head: str) -> str:
-    """How the cases ended, by the values of an axis."""
+    """Outcomes of the cases, by the values of an axis."""
 
     def line(value: str) -> list[str]:
         some = [row for row in rows if row[axis] == value]

@@ -31,6 +31,7 @@ from benchmarks.stress.data import (
 from benchmarks.stress.solve import LONG, Finding, Picture, certificate_of, ends_well, first_state, in_its, solve
 from scsr_opt import reconstruct
 from scsr_opt.errors import InputError
+from scsr_opt.motion import Motion
 from scsr_opt.operators import accumulate
 from scsr_opt.priors import Bounded, RidgeRegulariser
 from scsr_opt.solvers import Problem, Solver, implicit_minimiser, lipschitz_bound, run
@@ -274,7 +275,8 @@ def _door(case: Case, finding: Finding) -> None:
     given: dict[str, Any] = {}
     if case.kind == "reconstruct":
         solver = dataclasses.replace(SOLVERS[case.solver], iterations=case.iterations)
-        given = {"velocity": seen.velocity, "strength": case.strength, "prior": PRIORS[case.prior], "solver": solver}
+        motion = Motion.of_velocity(seen.velocity)
+        given = {"motion": motion, "strength": case.strength, "prior": PRIORS[case.prior], "solver": solver}
         given["optics"] = lens_of(case)
 
     def whole() -> Any:

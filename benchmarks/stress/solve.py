@@ -56,8 +56,8 @@ class Picture(NamedTuple):
 
 
 def ends_well(finding: Finding, image: np.ndarray, result: str, good: bool, objectives: tuple[float, ...]) -> None:
-    """A picture is finite in any case; with a good result so is everything that is said about it. Only where the step
-    is above its bound, the first picture is absurd, or M was rounded to what no solve can end with, may it fail."""
+    """A picture is finite in any case; with a good result so are all numbers recorded with it. Only where the step is
+    above its bound, the first picture is absurd, or M was rounded to what no solve can end with, may it fail."""
     finding.outcome = result
     finite = bool(np.isfinite(image).all())
     long = (finding.case.step or 0) > 1 and finding.case.solver in BOUNDED_STEPS

@@ -39,7 +39,7 @@ def train(
 ) -> int:
     """Train a network on simulated recordings.
 
-    A folder that holds a run of the same configuration is gone on with: stop it at any moment, and start it again. The
+    A run in a folder of the same configuration is resumed: stop it at any moment, and start it again. The
     folder has the weights (best.scsr, last.scsr), the losses and scores (.csv, curves.png) and sample pictures:
     playback, network and truth.
     """
@@ -54,8 +54,8 @@ def train(
         chosen = chosen.changed(steps=steps)
     folder = Path(f"run-{Path(config).stem}") if out is None else out
     trained = run(chosen, folder, progress=progress(quiet))
-    if not trained.result.good:
-        say_error(trained.result.sentence)
+    if not trained.status.usable:
+        say_error(trained.status.message)
         return 1
     if not quiet:
         print("\n".join([*trained.lines(), str(folder)]))

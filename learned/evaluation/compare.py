@@ -1,6 +1,6 @@
-"""Optimizer and network side by side, stage by stage, on one recording and by one measure: Eq. 4.
+"""Optimizers and networks side by side, stage by stage, on one recording and by one measure: Eq. 4.
 
-The problem is posed once (`learned.evaluation.reference_problem`): motion, samples, strength λ, and Huber-TV as Ψ.
+The problem is assembled once (`learned.evaluation.reference_problem`): motion, samples, strength λ, and Huber-TV as Ψ.
 Every X^(t) of every model is measured by it, whatever prior or network made it. Where the scene moves during exposures,
 f is taken exact at each X^(t), so that all are measured by the same f.
 """
@@ -21,29 +21,21 @@ from numpy.typing import ArrayLike
 
 from learned.evaluation.costs import Cost, cost
 from learned.evaluation.inference import Run, sparing
-from learned.evaluation.reference_problem import (
-    PRIOR,
-    ReferenceClip,
-    ReferenceProblem,
-    read,
-    reference_clip,
-    reference_problem,
-)
+from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, read, reference_problem, reference_task
 from learned.evaluation.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
-from learned.training.validation import psnr, quality
+from learned.training.validation import border_of, psnr, quality
 from learned.zoo import Model, Network, Optimizer, model
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.solution import Solution
+from scsr_opt.pipeline.task import Task
 from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.solvers.proximal_gradient import FISTA
 from scsr_opt.solvers.record import Status
 
-# The solution that all are held against, and the solver that goes on from a network's picture.
+# Solver of the reference solution, and the solver that starts at a network's picture.
 _CONVERGED = Optimizer("fista-huber", PRIOR, FISTA(iterations=2000, tolerance=1e-6))
 _ORDINARY = Optimizer("fista-huber", PRIOR, FISTA())
-# Sensor pixels at the border that PSNR and SSIM leave out: there the scene has left the sensor for a time.
-_BORDER = 8
 
 
 def compare_stages(
@@ -59,24 +51,24 @@ def compare_stages(
     costs: bool = True,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Every stage of every model on the same recording, and what each kind makes of the other's picture.
+    """Every stage of every model on one recording, and each kind of model started at the other's picture.
 
-    Optimizers use the λ of the problem that is posed, times what their prior wants of it, and keep both pictures of
-    each iteration until they are measured: 8 bytes a pixel and iteration.
+    Optimizers use the λ of the shared problem, times the relative strength of their prior. They keep both pictures of
+    each iteration until these are measured, 8 bytes a pixel and iteration.
 
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`, `gain`, `strength`: as of `reconstruct`; gains of 1 if none are given.
     - `models`: names (`learned.zoo`), paths of `.scsr` files, or models; each once.
     - `truth`: (s·h, s·w), the picture of the key frame, intensity, where it is known.
     - `costs`: whether seconds and FLOPs are measured, for which a network is compiled once for each of its stages.
-    - `progress`: told of the models that are done.
+    - `progress`: reports the models that are done.
 
-    **Raises:** `InputError` if something handed in cannot be used, or the recording holds no usable sample.
+    **Raises:** `InputError` if an argument cannot be used, or the recording holds no usable sample.
     """
     check_progress(progress)
-    here = reference_clip(spikes, scale=scale, key=key, white_rate=white_rate)
-    known = None if truth is None else _truth(here, truth)
-    chosen = [model(one, here.scale) if isinstance(one, str) else one for one in models]
+    task = reference_task(spikes, scale=scale, key=key, white_rate=white_rate)
+    known = None if truth is None else _truth(task, truth)
+    chosen = [model(one, task.scale) if isinstance(one, str) else one for one in models]
     if not chosen:
         raise InputError("There is nothing to compare: name at least one model.")
     number = Counter(one.name for one in chosen)
@@ -84,38 +76,38 @@ def compare_stages(
     if again:
         raise InputError(f"Of the models to compare, {', '.join(again)} comes more than once: name each once.")
     for one in chosen:
-        one.check(here.scale)
+        one.check(task.scale)
     networks = [one for one in chosen if isinstance(one, Network)]
-    told = NoProgress() if progress is None else progress
-    told.start(2 + len(chosen) + len(networks), "comparing")
+    meter = NoProgress() if progress is None else progress
+    meter.start(2 + len(chosen) + len(networks), "comparing")
     try:
-        posed = reference_problem(here, gain=gain, strength=strength)
+        posed = reference_problem(task, gain=gain, strength=strength)
         if not posed.usable:
             raise InputError(Status.no_samples.message)
-        told.advance(1)
+        meter.advance(1)
         solution = _CONVERGED.solve(posed)
-        # Once more, for the time that it takes without compilation.
-        before = reference_problem(here, gain=gain, strength=strength).seconds if costs else None
+        # Once more, to time it without compilation.
+        before = reference_problem(task, gain=gain, strength=strength).seconds if costs else None
         measure = _Measure(posed, jnp.asarray(solution.image), known, before)
-        told.advance(1)
+        meter.advance(1)
         rows, last = [], {}
         for one in chosen:
             row, last[one.name] = measure.optimizer(one) if isinstance(one, Optimizer) else measure.network(one)
             rows.append(row)
-            told.advance(1)
+            meter.advance(1)
         scratch = _ORDINARY.solve(posed) if networks else None
         hybrids = []
         for one in networks:
             if scratch is not None and np.isfinite(last[one.name]).all():
                 hybrids.append(_hybrid(measure, one, last[one.name], scratch))
-            told.advance(1)
+            meter.advance(1)
     finally:
-        told.finish()
+        meter.finish()
     return Comparison(
-        recording=here.recording,
-        scale=here.scale,
-        key=here.key,
-        frames=len(here.clip.spikes),
+        recording=task.recording,
+        scale=task.scale,
+        key=task.clip.key_frame,
+        frames=len(task.clip.spikes),
         strength=float(posed.strength),
         reference=solution.image,
         reference_objective=float(read(posed, jnp.asarray(solution.image)).objective),
@@ -127,11 +119,11 @@ def compare_stages(
     )
 
 
-def _truth(here: ReferenceClip, truth: Float[Any, "H W"]) -> Float[np.ndarray, "H W"]:
+def _truth(task: Task, truth: Float[Any, "H W"]) -> Float[np.ndarray, "H W"]:
     picture = np.asarray(truth, np.float32)
-    if picture.shape != here.shape or not np.isfinite(picture).all():
+    if picture.shape != task.shape or not np.isfinite(picture).all():
         raise InputError(
-            f"The truth has shape {picture.shape}; it must be finite and of the shape of the pictures, {here.shape}."
+            f"The truth has shape {picture.shape}; it must be finite and of the shape of the pictures, {task.shape}."
         )
     return picture
 
@@ -146,10 +138,10 @@ class _Stage(NamedTuple):
 
 @dataclass(frozen=True)
 class _Measure:
-    """What the stages of one model are measured by.
+    """The measure of the stages of one model.
 
-    **Fields:** `posed`; `reference`, the converged solution; `truth`, if known; `before`, the seconds that posing
-    takes, None if costs are not to be measured.
+    **Fields:** `posed`; `reference`, the converged solution; `truth`, if known; `before`, the seconds that assembling
+    takes, None if costs are not measured.
     """
 
     posed: ReferenceProblem
@@ -171,13 +163,13 @@ class _Measure:
     def network(
         self, model: Network, start: Float[np.ndarray, "H W"] | None = None, *, costs: bool = True
     ) -> tuple[ModelStages, Float[np.ndarray, "H W"]]:
-        found = model.run(self.posed.clip, start, self.posed.motion)
+        found = model.run(self.posed.task, start, self.posed.motion)
         stages = [_Stage(*pictures, math.nan) for pictures in zip(found.gradient_steps, found.images, strict=True)]
         spent: list[Cost | None] = [None] * len(stages)
         before = None
         if self.before is not None and costs:
             begin = time.perf_counter()
-            made = model.call(self.posed.clip)
+            made = model.call(self.posed.task)
             jax.block_until_ready(eqx.filter(made.arguments, eqx.is_array))
             before = time.perf_counter() - begin
             spent = [
@@ -197,7 +189,7 @@ class _Measure:
         for number, (stage, each) in enumerate(zip(stages, spent, strict=True), 1):
             step, image = jnp.asarray(stage.gradient_step), jnp.asarray(stage.image)
             reading, numbers = read(self.posed, image), _numbers(before, slope, step, image, self.reference)
-            said = {name: float(value) for name, value in numbers._asdict().items()}
+            measures = {name: float(value) for name, value in numbers._asdict().items()}
             data, prior = float(reading.data), float(reading.prior)
             misfit = max(2 * data / self.posed.weight, 0.0)
             measured.append(
@@ -208,7 +200,7 @@ class _Measure:
                     prior=prior,
                     own_objective=stage.own,
                     residual=math.sqrt(misfit) if math.isfinite(misfit) else math.nan,
-                    **said,
+                    **measures,
                     **self._judged(stage.image, number in shown),
                     seconds=math.nan if each is None else each.seconds,
                     flops=math.nan if each is None or each.flops is None else each.flops,
@@ -223,8 +215,7 @@ class _Measure:
         """PSNR; and of the stages shown the structural similarity, which takes a second for a large picture."""
         if self.truth is None:
             return {"psnr": math.nan, "ssim": math.nan}
-        scale = self.posed.clip.scale
-        border = min(_BORDER, min(self.posed.clip.recording.height, self.posed.clip.recording.width) // 4) * scale
+        border = border_of(min(self.posed.task.clip.shape), self.posed.task.scale)
         if shown:
             return dict(zip(("psnr", "ssim"), quality(self.truth, image, border), strict=True))
         return {"psnr": psnr(self.truth, image, border), "ssim": math.nan}

@@ -1,4 +1,4 @@
-"""What a function costs: seconds on this machine, and floating-point operations as XLA counts them."""
+"""Cost of a function: seconds on this machine, and floating-point operations as XLA counts them."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -8,23 +8,22 @@ import equinox as eqx
 import jax
 from jax.extend.core import jaxpr_as_fun
 
-# Runs after the first, of which the quickest counts: what disturbs a run only ever makes it slower.
-_RUNS = 3
-
 
 class Cost(NamedTuple):
-    """**Fields:** `seconds` of one call, compiled before; `flops`, None where XLA does not tell."""
+    """**Fields:** `seconds` of one call, compiled before; `flops`, None where XLA does not count them."""
 
     seconds: float
     flops: float | None
 
 
-def cost(function: Callable[..., Any], *arguments: Any, options: Mapping[str, bool | str] | None = None) -> Cost:
+def cost(
+    function: Callable[..., Any], *arguments: Any, options: Mapping[str, bool | str] | None = None, runs: int = 3
+) -> Cost:
     """The cost of `function(*arguments)`, compiled with these options; arrays among the arguments are what it is a
-    function of.
+    function of. The quickest of `runs` after the first counts: what disturbs a run only makes it slower.
 
     FLOPs are those of XLA's cost analysis of the compiled function. It counts the body of a loop once; the rounds of a
-    `scan` (and of a `fori_loop` with a known number) are added here, those of a `while_loop` are not known to anybody.
+    `scan` (and of a `fori_loop` with a known number) are added here, those of a `while_loop` are unknown.
     """
     arrays, rest = eqx.partition(arguments, eqx.is_array)
 
@@ -34,7 +33,7 @@ def cost(function: Callable[..., Any], *arguments: Any, options: Mapping[str, bo
     compiled = jax.jit(pure).lower(arrays).compile(compiler_options=None if options is None else dict(options))
     jax.block_until_ready(compiled(arrays))
     seconds = []
-    for _ in range(_RUNS):
+    for _ in range(runs):
         begin = time.perf_counter()
         jax.block_until_ready(compiled(arrays))
         seconds.append(time.perf_counter() - begin)

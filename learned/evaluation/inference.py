@@ -1,4 +1,4 @@
-"""Running a network on a moment of a recording: the one place that knows how each kind is called."""
+"""Running a network on the clip of a task: the one place that knows the arguments of each kind."""
 
 import functools
 from collections.abc import Callable
@@ -7,9 +7,10 @@ from typing import Any, NamedTuple, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, UInt8
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped, UInt8
+from scipy.ndimage import distance_transform_edt
 
-from learned.evaluation.reference_problem import ReferenceClip
 from learned.networks.inputs import Inputs, make_inputs
 from learned.networks.layers import continued
 from learned.networks.spikesr import SpikeSRNet
@@ -19,10 +20,12 @@ from learned.training.checkpoint import Card
 from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
+from scsr_opt.pipeline.clip import Clip
+from scsr_opt.pipeline.task import Task
 
 
 class Run(NamedTuple):
-    """What the stages of a network give, intensity (1 = white).
+    """The pictures of a network's stages, intensity (1 = white).
 
     **Fields:** `start`: X^(0). `gradient_steps`: R^(1) … R^(T). `images`: X^(1) … X^(T), the last one the result.
     """
@@ -40,9 +43,9 @@ class Call(NamedTuple):
 
 
 def call(
-    net: Any, card: Card, here: ReferenceClip, start: Float[Array, "H W"] | None = None, motion: Motion | None = None
+    net: Any, card: Card, task: Task, start: Float[Array, "H W"] | None = None, motion: Motion | None = None
 ) -> Call:
-    """How `net` is called for this moment.
+    """`net` with its arguments for the clip of a task.
 
     **Arguments:** `start`: X^(0), the network's own if not given; `motion`: for the networks that use one, estimated if
     not given.
@@ -51,13 +54,24 @@ def call(
     """
     check_stages(net, card)
     if isinstance(net, SpikeSRNet):
-        return _spikesr_call(net, here, start)
+        rate = jnp.asarray(task.clip.white_rate, jnp.float32)
+        spikes = jnp.asarray(plausible_spikes(task.clip))
+        return Call(_spikesr, (net, spikes, jnp.asarray(task.clip.key), rate, start))
     if isinstance(net, UnrolledISTA):
-        inputs = make_inputs(here.clip, scale=here.scale, boundaries=net.config.boundaries, motion=motion)
+        inputs = make_inputs(task.clip, scale=task.scale, boundaries=net.config.boundaries, motion=motion)
         return Call(_unrolled, (net, inputs, start))
     # The encoder looks at neighbours: a bad pixel's spikes must be plausible, though none are measured there.
-    stream = here.clip._replace(spikes=here.seen)
-    return Call(_unrolled, (net, make_spike_inputs(stream, scale=here.scale, config=net.config, motion=motion), start))
+    clip = task.clip._replace(spikes=plausible_spikes(task.clip))
+    return Call(_unrolled, (net, make_spike_inputs(clip, scale=task.scale, config=net.config, motion=motion), start))
+
+
+def plausible_spikes(clip: Clip) -> Shaped[np.ndarray, "T h w"]:
+    """The spikes of a clip as a network sees them: a bad pixel fires as the nearest good one does."""
+    spikes, bad = clip.spikes, clip.bad_pixels
+    if bad is None or not bad.any() or bad.all():
+        return spikes
+    row, column = np.asarray(distance_transform_edt(bad, return_distances=False, return_indices=True))
+    return spikes[:, row, column]
 
 
 def run(made: Call) -> Run:
@@ -93,11 +107,6 @@ def check_stages(net: Any, card: Card) -> None:
     """**Raises:** `InputError` for a network that can be trained, but is only a part of one that has stages."""
     if not isinstance(net, SpikeSRNet | UnrolledISTA | UnrolledPASE):
         raise InputError(f"The stages of {card.model} are not known; take a SpikeSR-Net or an unrolled iteration.")
-
-
-def _spikesr_call(net: SpikeSRNet, here: ReferenceClip, start: Float[Array, "H W"] | None) -> Call:
-    rate = jnp.asarray(here.clip.white_rate, jnp.float32)
-    return Call(_spikesr, (net, jnp.asarray(here.seen), jnp.asarray(here.clip.key), rate, start))
 
 
 @eqx.filter_jit

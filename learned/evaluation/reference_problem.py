@@ -1,102 +1,67 @@
-"""Eq. 4 for one recording: what the optimizer finds out before it iterates, so that networks can be measured by it.
+"""Eq. 4 for one recording, by which optimizers and networks are compared.
 
-Motion, measurements, strength and first picture are those of `reconstruct` (`scsr_opt.pipeline.assembly`). Two
-differences: the prior is Huber-TV at every scale, and a sensor's fixed pattern is not looked for. Networks know nothing
-of it, so it stays in what all are compared on, unless the gains are handed in.
+Motion, measurements, strength and initial image are those of `reconstruct` (`scsr_opt.pipeline.assembly`). Two
+differences: the prior is Huber-TV at every scale, and a sensor's fixed pattern is not estimated, since networks do not
+correct it either; gains can be given.
 """
 
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import SupportsFloat, SupportsIndex
+from typing import Any, SupportsFloat, SupportsIndex
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
-from scipy.ndimage import distance_transform_edt
 
-from scsr_opt._kernels.programs import ready
-from scsr_opt._validation import picture_shape, pixel_gain, whole
+from scsr_opt._validation import pixel_gain
 from scsr_opt.camera.recording import Recording
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.sampling import PlacedSamples, accumulate
 from scsr_opt.pipeline.assembly import assemble_task
-from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.options import Options
-from scsr_opt.pipeline.task import task_of
+from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem
 
 PRIOR = HuberTotalVariation()
-"""Ψ of the problem that all models are measured by, whatever they were given or have learned."""
+"""Ψ of the problem by which all models are measured, whatever prior they use themselves."""
 
 
-@dataclass(frozen=True)
-class ReferenceClip:
-    """A key frame of a recording and the frames around it, as `reconstruct` cuts them out.
-
-    **Fields:** `recording`; `scale` s; `clip`, the frames that are used.
-    """
-
-    recording: Recording
-    scale: int
-    clip: Clip
-
-    @property
-    def key(self) -> int:
-        """The key frame, a frame of the recording."""
-        return self.clip.key_frame
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(H, W) of the picture."""
-        return self.scale * self.recording.height, self.scale * self.recording.width
-
-    @cached_property
-    def seen(self) -> Shaped[np.ndarray, "T h w"]:
-        """The spikes of the clip as a network sees them: a bad pixel fires as the nearest good one does."""
-        spikes, bad = self.clip.spikes, self.clip.bad_pixels
-        if bad is None or not bad.any() or bad.all():
-            return spikes
-        row, column = np.asarray(distance_transform_edt(bad, return_distances=False, return_indices=True))
-        return spikes[:, row, column]
-
-
-def reference_clip(
+def reference_task(
     spikes: ArrayLike | Recording,
     *,
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
     white_rate: SupportsFloat | None = None,
-) -> ReferenceClip:
-    """The moment of `spikes`, (T, h, w) of 0 and 1 or a `Recording`, that `reconstruct` would show.
+    prior: Prior = PRIOR,
+    gain: Float[np.ndarray, "h w"] | None = None,
+    strength: SupportsFloat | None = None,
+) -> Task:
+    """The clip of `spikes`, (T, h, w) of 0 and 1 or a `Recording`, that `reconstruct` would use, and its options.
 
-    **Raises:** `InputError` if something handed in cannot be used.
+    **Raises:** `InputError` for an argument that cannot be used.
     """
-    ready()
-    recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
-    scale = whole(scale, "scale", 1)
-    picture_shape((recording.height, recording.width), scale)
-    return ReferenceClip(recording, scale, Clip.around(recording, key, white_rate=white_rate))
+    return task_of(spikes, scale, key, Options(white_rate=white_rate, prior=prior, gain=gain, strength=strength))
 
 
 @dataclass(frozen=True)
 class ReferenceProblem:
-    """minimise over X of f(X) + λΨ(X) (Eq. 4, halved) for one moment.
+    """minimise over X of f(X) + λΨ(X) (Eq. 4, halved) for one key frame.
 
     **Fields:**
-    - `clip`; `motion` there; `gain` of each pixel, None for 1.
+    - `task`, with the clip; `motion` there; `gain` of each pixel, None for 1.
     - `placed`: the measurements at their places; `plain`: f, each exposure with the narrow stencil of its own places.
     - `strength` λ; `prior` Ψ; `first`: X^(0) of the solvers.
     - `seconds`: how long motion, samples and strength took.
     """
 
-    clip: ReferenceClip
+    task: Task
     motion: Motion
     gain: Float[np.ndarray, "h w"] | None
     placed: PlacedSamples
@@ -113,8 +78,8 @@ class ReferenceProblem:
 
     @property
     def usable(self) -> bool:
-        """Whether there is anything to reconstruct from; if not, `reconstruct` ends with `Status.no_samples`."""
-        return bool(self.clip.clip.spikes.any()) and self.weight > 0
+        """True if there is a sample to reconstruct from; if not, `reconstruct` ends with `Status.no_samples`."""
+        return bool(self.task.clip.spikes.any()) and self.weight > 0
 
     def problem(self, image: Float[Array, "H W"]) -> Problem:
         """The problem with f exact at `image`, its value and its gradient: the motion during exposures is in it.
@@ -127,27 +92,28 @@ class ReferenceProblem:
 
 
 def reference_problem(
-    clip: ReferenceClip,
+    task: Task,
     *,
     prior: Prior = PRIOR,
     gain: ArrayLike | None = None,
     strength: SupportsFloat | None = None,
 ) -> ReferenceProblem:
-    """The problem that `reconstruct` would solve for this moment.
+    """The problem that `reconstruct` would solve for this clip.
 
     **Arguments:** `gain`: (h, w), 1 if not given; `strength`: validated for `prior` if not given.
 
     **Raises:** `InputError` if one of these cannot be used.
     """
     begin = time.perf_counter()
-    # Never "auto", which would look for them.
-    gains = None if gain is None else pixel_gain(gain, clip.recording.height, clip.recording.width)
-    options = Options(white_rate=clip.clip.white_rate, gain=gains, prior=prior, strength=strength)
-    assembly = assemble_task(task_of(clip.recording, clip.scale, clip.key, options))
-    # Of an empty recording nothing is known of the noise, and nothing will be solved.
+    # Never "auto", which would estimate them.
+    gains = None if gain is None else pixel_gain(gain, task.recording.height, task.recording.width)
+    clip: dict[str, Any] = {"scale": task.scale, "key": task.clip.key_frame, "white_rate": task.clip.white_rate}
+    task = reference_task(task.recording, **clip, gain=gains, prior=prior, strength=strength)
+    assembly = assemble_task(task)
+    # Without a spike nothing is known of the noise, and nothing will be solved.
     λ = assembly.strength if assembly.usable or strength is not None else 0.0
     return ReferenceProblem(
-        clip=clip,
+        task=task,
         motion=assembly.motion,
         gain=assembly.gain,
         placed=assembly.measurements.placed,
@@ -160,10 +126,7 @@ def reference_problem(
 
 
 class Reading(eqx.Module):
-    """What Eq. 4 says of a picture X.
-
-    **Fields:** `data` f(X), `prior` λΨ(X), `slope` ∇f(X).
-    """
+    """Value of Eq. 4 at a picture X: `data` f(X), `prior` λΨ(X), and `slope` ∇f(X)."""
 
     data: Float[Array, ""]
     prior: Float[Array, ""]

@@ -1,4 +1,4 @@
-"""What a comparison of models stage by stage says: as a table to read, as JSON, and as a figure."""
+"""A comparison of models stage by stage as a table, as JSON, and as a figure."""
 
 import json
 import math
@@ -21,9 +21,6 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.report.figures import detailed_part
 from scsr_opt.report.summary import plain, versions
 from scsr_opt.solvers.record import Status
-
-# Stages of a model in the table and the figure, at most.
-SHOWN = 6
 
 _ACCENT, _FAINT = "#c8102e", "#777777"
 _COLUMN, _GAP, _CAPTION, _MARGIN = 2.1, 0.1, 0.24, 0.15
@@ -78,7 +75,7 @@ class ModelStages:
 
 @dataclass(frozen=True)
 class Hybrid:
-    """What optimizer and network make of each other's picture.
+    """Optimizer and network started at each other's picture.
 
     **Fields:**
     - `network`, `optimizer`: their names.
@@ -142,7 +139,7 @@ class Comparison:
 
     def json(self) -> str:
         """All stages of all models; what is not a finite number is null."""
-        told = {
+        content = {
             "recording": {
                 "name": self.recording.name,
                 "frames": self.recording.frames,
@@ -171,7 +168,7 @@ class Comparison:
             "hybrids": [asdict(hybrid) for hybrid in self.hybrids],
             "versions": versions(),
         }
-        return json.dumps(plain(told), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        return json.dumps(plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
     def figure(self) -> Figure:
         """A row a model, a column a stage: X^(t), the part where there is most to see; before them the last one whole.
@@ -232,12 +229,12 @@ FILES = ("stages.txt", "stages.json", "stages.png")
 """What `Comparison.write` writes."""
 
 
-def shown_stages(count: int) -> tuple[int, ...]:
-    """The stages of so many that are shown: all if they are few; else 1, 2, 4, 8, … and the last, `SHOWN` of these."""
-    if count <= SHOWN:
+def shown_stages(count: int, most: int = 6) -> tuple[int, ...]:
+    """The stages, of `count`, in the table and the figure: all, or `most` of 1, 2, 4, 8, … and the last."""
+    if count <= most:
         return tuple(range(1, count + 1))
     doubled = [2**power for power in range(count.bit_length()) if 2**power <= 0.75 * count] + [count]
-    places = np.linspace(0, len(doubled) - 1, min(len(doubled), SHOWN)).round().astype(int)
+    places = np.linspace(0, len(doubled) - 1, min(len(doubled), most)).round().astype(int)
     return tuple(doubled[place] for place in places)
 
 

@@ -12,21 +12,20 @@ from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
 from scsr_opt.solvers.record import Stage
 
-# Dual steps of the proximal step that the residual takes, as nothing is known of its dual variable here.
-_PATIENT = 100
 
-
-def stages_of(posed: ReferenceProblem, found: Run, *, seconds: float, keep_images: bool) -> tuple[Stage, ...]:
+def stages_of(
+    posed: ReferenceProblem, found: Run, *, seconds: float, keep_images: bool, dual_steps: int = 100
+) -> tuple[Stage, ...]:
     """A `Stage` of each iterate of a network.
 
     `objective`, `data`, `prior`: at X^(t), the data term exact there. `residual`: ‖X^(t) − G(X^(t))‖ / ‖X^(t)‖, G a
     proximal-gradient step from X^(t): 0 at the minimiser. `step_size`: the β for which X^(t−1) − β∇f(X^(t−1)) comes
     nearest to R^(t), which for ISTA is its own β. `seconds`: those of the whole network, whose stages are not timed one
-    by one.
+    by one. `dual_steps` of the residual's proximal step, whose dual variable begins at zero.
     """
     stages = []
     before, slope = found.start, read(posed, found.start).slope
-    prior = posed.prior.with_inner_iterations(_PATIENT)
+    prior = posed.prior.with_inner_iterations(dual_steps)
     for number, (step, image) in enumerate(zip(found.gradient_steps, found.images, strict=True), 1):
         reading = read(posed, image)
         stages.append(

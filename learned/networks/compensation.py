@@ -1,7 +1,7 @@
-"""Moments brought to the key frame along the estimated motion, and sharpened: what X^(0) of a network starts from.
+"""Moments brought to the key frame along the estimated motion, and sharpened: the base of X^(0) of a network.
 
-Where something moves, its samples fall between those of the key frame, so that what several moments say together is
-finer than any of them: an enlargement without aliasing, blurred by the pixels' aperture and by what fills the gaps
+Where something moves, its samples fall between those of the key frame, so that several moments together are finer than
+any of them: an enlargement without aliasing, blurred by the pixels' aperture and by what fills the gaps
 between samples. `compensated` brings moments together, once with few gaps and once with little blur; `Deblurring`
 sharpens, as much as motion, noise and light allow.
 """
@@ -15,18 +15,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from learned.networks.encoder import check_blocks
-from learned.networks.layers import convolution, leaky
+from learned.networks.layers import check_sizes, convolution, leaky
 from learned.networks.velocity import Moments, VelocityEstimator, base_moments, refined
-from scsr_opt.errors import InputError
-
-_CUBIC = -0.5  # Keys (1981), as in `jax.image.resize`
-_NEAR = 0.2  # sensor pixels, standard deviation; at ×4 0.35 loses 0.1 dB where a scene turns
-_LEAST = 1e-6  # beside it nearness is 0.007 at least where there is any sample
-_GATING = 16  # channels
 
 
 class Compensated(NamedTuple):
-    """What the moments say of each point of the key frame.
+    """Means and spread of the moments at each point of the key frame.
 
     **Fields:** all of the picture's size; in intensity but for the last two,
     - `mean`: of the moments, each enlarged (cubic, Keys 1981) at the places where the point was then.
@@ -44,13 +38,16 @@ class Compensated(NamedTuple):
     way: Float[Array, "2 H W"]
 
 
-def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> Compensated:
+def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int, reach: float = 0.2) -> Compensated:
     """Moments read where the key frame's points were then: Y_i(q + v(q)·t_i).
 
     What has left the sensor is left out, but at the moment nearest to the key frame, whose edge is repeated; and so are
     moments that are the same as the one before, at a recording's ends (`spike_blocks`).
 
-    **Arguments:** `velocity`: sensor pixels per frame. **Returns:** arrays of (s·h, s·w).
+    **Arguments:** `velocity`: sensor pixels per frame. `reach`: standard deviation of `Compensated.near`, sensor
+    pixels; at ×4 0.35 loses 0.1 dB where a scene turns.
+
+    **Returns:** arrays of (s·h, s·w).
     """
     _, rows, columns = seen.rates.shape
     size = (scale * rows, scale * columns)
@@ -74,7 +71,7 @@ def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> C
                 across = across + _keys(column - left - j) * sample
                 if i in (0, 1) and j in (0, 1):
                     there = (r == top + i) & (c == left + j)  # the edge repeated is no sample
-                    close = jnp.where(there, jnp.exp(-0.5 * ((row - r) ** 2 + (column - c) ** 2) / _NEAR**2), 0.0)
+                    close = jnp.where(there, jnp.exp(-0.5 * ((row - r) ** 2 + (column - c) ** 2) / reach**2), 0.0)
                     light, weight = light + close * sample, weight + close
             value = value + _keys(row - top - i) * across
         here = (new & (inside | nearest)).astype(jnp.float32)
@@ -91,25 +88,27 @@ def compensated(seen: Moments, velocity: Float[Array, "2 h w"], scale: int) -> C
     moments = (*seen, new, away == jnp.min(away))
     (count, mean, squares, light, nearness), _ = jax.lax.scan(read, (nothing,) * 5, moments)
     spread = jnp.sqrt(jnp.maximum(squares, 0.0) / jnp.maximum(count, 1.0))
+    # Where there is any sample nearness is 0.007 at least.
+    near = light / jnp.maximum(nearness, 1e-6)
     way = jnp.abs(fine) * (seen.times[-1] - seen.times[0])
-    return Compensated(mean, spread, light / jnp.maximum(nearness, _LEAST), nearness, way)
+    return Compensated(mean, spread, near, nearness, way)
 
 
 def _keys(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
-    """The cubic convolution kernel at |x| ≤ 2."""
-    x = jnp.abs(x)
-    near = ((_CUBIC + 2) * x - (_CUBIC + 3)) * x * x + 1
-    far = ((_CUBIC * x - 5 * _CUBIC) * x + 8 * _CUBIC) * x - 4 * _CUBIC
+    """The cubic convolution kernel of Keys (1981), a = −½, at |x| ≤ 2, as in `jax.image.resize`."""
+    x, a = jnp.abs(x), -0.5
+    near = ((a + 2) * x - (a + 3)) * x * x + 1
+    far = ((a * x - 5 * a) * x + 8 * a) * x - 4 * a
     return jnp.where(x <= 1, near, far)
 
 
 class Deblurring(eqx.Module):
     """`Compensated` to a sharp picture: four convolutions of the two means, gated by motion, noise and light.
 
-    How much can be sharpened depends on where: along a fast motion samples lie close, at rest what lies between the
-    pixels was never seen, and noise is not to be sharpened at all. So the features of the first and the last layer but
+    How much can be sharpened depends on the place: along a fast motion samples lie close, at rest nothing between the
+    pixels was seen, and noise must not be sharpened. So the features of the first and the last layer but
     one are multiplied by 1 + g(way, spread, nearness, spikes per frame), g two small layers: worth 0.4 dB over all
-    scenes and lights (docs/measurements.md).
+    scenes and lights (docs/decisions/0018).
 
     It works at the picture's resolution, since blur is the same at each of its pixels: the other modules see s×s of
     them as channels of one. It reaches 6 pixels each way and starts as no change.
@@ -121,15 +120,15 @@ class Deblurring(eqx.Module):
     output: eqx.nn.Conv2d
     gating: tuple[eqx.nn.Conv2d, eqx.nn.Conv2d]
 
-    def __init__(self, channels: int, *, key: PRNGKeyArray):
+    def __init__(self, channels: int, gating: int = 16, *, key: PRNGKeyArray):
         keys = jax.random.split(key, 6)
         self.first = convolution(2, channels, size=7, key=keys[0])
         self.second = convolution(channels, channels, key=keys[1])
         self.third = convolution(channels, channels, key=keys[2])
         self.output = convolution(channels, 1, shrink=0, key=keys[3])
         self.gating = (
-            convolution(5, _GATING, key=keys[4]),
-            convolution(_GATING, 2 * channels, size=1, key=keys[5]),
+            convolution(5, gating, key=keys[4]),
+            convolution(gating, 2 * channels, size=1, key=keys[5]),
         )
 
     def __call__(self, seen: Compensated, white_rate: Float[Array, ""] | float | int) -> Float[Array, "H W"]:
@@ -162,9 +161,7 @@ class CompensationConfig:
     moments: int = 21
 
     def __post_init__(self):
-        for name in ("scale", "velocity_channels", "deblur_channels"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least 1.")
+        check_sizes(self, scale=1, velocity_channels=1, deblur_channels=1)
         check_blocks(self.moments, 3, 3)
 
 

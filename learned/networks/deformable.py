@@ -6,7 +6,6 @@ weighs it by a mask: Dai et al., "Deformable convolutional networks", ICCV 2017 
 """
 
 import functools
-import math
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -17,8 +16,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from learned.networks.layers import at_least_float32, convolution, leaky
 from scsr_opt.errors import InputError
-
-_TAPS = 9  # of a 3×3 kernel
 
 
 def deformable_convolution(
@@ -148,7 +145,7 @@ def _rows(table: Float[Array, "pixels c"], index: Int[Array, "places"]) -> Float
 
 
 def _one_by_one_on_cpu(work: Callable[..., Any], *arrays: Array) -> Any:
-    """`work(*arrays)`; where `jax.vmap` asks for many of it, one after the other on a CPU."""
+    """`work(*arrays)`; where `jax.vmap` batches it, one after the other on a CPU."""
     return jax.lax.platform_dependent(*arrays, cpu=jax.custom_batching.sequential_vmap(work), default=work)
 
 
@@ -205,7 +202,8 @@ class OffsetPredictor(eqx.Module):
         last, *between = jax.random.split(key, 1 + 2 * levels)
         self.coarser = tuple(convolution(channels, channels, stride=2, key=k) for k in between[::2])
         self.finer = tuple(convolution(channels, channels, key=k) for k in between[1::2])
-        self.last = convolution(channels, 3 * groups * _TAPS, size=1, shrink=0, key=last)
+        # Down, right and mask of each tap of a 3×3 kernel.
+        self.last = convolution(channels, 3 * groups * 9, size=1, shrink=0, key=last)
 
     def __call__(
         self, features: Float[Array, "c h w"]
@@ -265,5 +263,4 @@ class Align(eqx.Module):
             offset = offset.astype(at_least_float32(offset.dtype))
             offset = offset + jnp.tile(guide.astype(offset.dtype), (offset.shape[0] // 2, 1, 1))
         bias = None if self.kernel.bias is None else self.kernel.bias.reshape(-1)
-        padding = math.isqrt(_TAPS) // 2
-        return leaky(deformable_convolution(mixed, offset, mask, self.kernel.weight, bias, padding=padding))
+        return leaky(deformable_convolution(mixed, offset, mask, self.kernel.weight, bias, padding=1))

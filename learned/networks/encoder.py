@@ -49,7 +49,7 @@ def spike_blocks(
 def block_times(
     frames: int, key_frame: Int[Array, ""] | int, blocks: int, length: int, spacing: int
 ) -> Float[Array, " n"]:
-    """The middles of the blocks that `spike_blocks` takes from so many frames, in frames after the key frame."""
+    """Middles of the blocks that `spike_blocks` takes of a recording of `frames`, in frames after the key frame."""
     middles = _starts(frames, key_frame, blocks, length, spacing).astype(jnp.float32) + (length - 1) / 2
     return middles - jnp.asarray(key_frame, jnp.float32)
 

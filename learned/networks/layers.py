@@ -4,18 +4,26 @@ Every layer works on one picture of features, (channels, rows, columns), without
 maps over it (`jax.vmap`), which makes one convolution of them all.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
-# Sensor pixels a side that a SpikeSR-Net is given at least. Its convolutions see zeros beyond a border, which it has
-# learned to live with on one side at a time: of `spikesr-small` 1×1 sensors came out 17 % too dark, 1×16 3 %, 2×2 1 %.
-LEAST_SIDE = 8
+from scsr_opt.errors import InputError
 
-# The slope of the activations where they are negative: small, but no unit can fall silent for good.
-_LEAK = 0.1
+LEAST_SIDE = 8
+"""Fewest sensor pixels a side that a SpikeSR-Net takes; smaller pictures are continued. Its convolutions see zeros
+beyond a border, which training has on one side at a time: `spikesr-small` made 1×1 sensors 17 % too dark, 2×2 1 %."""
+
+
+def check_sizes(config: Any, **least: int) -> None:
+    """**Raises:** `InputError` if a field of the configuration is below the number that is given for its name."""
+    for name, number in least.items():
+        if getattr(config, name) < number:
+            raise InputError(f"{name} is {getattr(config, name)}; it must be at least {number}.")
 
 
 def at_least_float32(dtype: DTypeLike) -> DTypeLike:
@@ -24,8 +32,8 @@ def at_least_float32(dtype: DTypeLike) -> DTypeLike:
 
 
 def leaky(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """max(x, x/10), the activation everywhere but in the gates."""
-    return jnp.where(x >= 0, x, _LEAK * x)
+    """Leaky ReLU, max(x, 0.1 x), the activation everywhere but in the gates: no unit can fall silent for good."""
+    return jnp.where(x >= 0, x, 0.1 * x)
 
 
 def continued(x: Shaped[Array, "*n h w"], unit: int = 1) -> tuple[Shaped[Array, "*n k l"], tuple[slice, slice]]:

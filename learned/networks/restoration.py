@@ -1,13 +1,13 @@
-"""Solution to sharper picture: what a network knows of the solutions of Eq. 4, for a prior to be centred at.
+"""A network that restores solutions of Eq. 4, for a prior to be centred at.
 
-A convex prior that knows nothing of a scene cannot tell an edge that a solution has lost from one that was never there.
-A network that has seen many solutions beside their truths can, at times. Its picture X̂ is not taken for the result: it
-becomes the centre of the ridge regulariser (`scsr_opt.priors.Centred`), and Eq. 4 is solved once more,
+A convex prior cannot tell an edge that a solution has lost from one that was never there. A network that was trained on
+many solutions and their truths sometimes can. Its picture X̂ is not the result: it becomes the centre of the ridge
+regulariser (`scsr_opt.priors.Centred`), and Eq. 4 is solved once more,
 
     minimise over X of f(X) + λ Ψ(X − X̂),
 
-a convex problem with the guarantees that it had, whatever the network says: what contradicts the data costs, and what
-the data leave open is the network's. The rung `ridge-centred` of `learned.zoo` is both solves.
+a convex problem with the guarantees that it had, whatever the network returns: contradicting the data costs, and the
+network decides only what the data leave open. The model `ridge-centred` of `learned.zoo` is both solves.
 """
 
 import dataclasses
@@ -18,17 +18,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from learned.networks.layers import ResidualBlocks, convolution, fold, leaky, unfold
-from scsr_opt.errors import InputError
+from learned.networks.layers import ResidualBlocks, check_sizes, convolution, fold, leaky, unfold
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
-
-# A usual λ and the pictures' contrast, by which what the network sees is of the order of 1.
-_USUAL, _CONTRAST = 4e-4, 0.25
-# λ is told from 0 down to this share of the usual one.
-_LEAST = 1e-3
-# Mean square errors below this, 50 dB, are as good as none.
-_FLOOR = 1e-5
 
 
 def first_prior() -> Prior:
@@ -43,7 +35,9 @@ class RestorationConfig:
     **Fields:**
     - `scale`: of the solutions that it was trained on.
     - `channels`, `blocks`: features, and residual blocks that work on them.
-    - `folding`: so many pixels each way become channels of one.
+    - `folding`: a block of `folding` × `folding` pixels becomes channels of one.
+    - `contrast`: of pictures (intensity), and `usual_strength`, a common λ: inputs are divided by them to be about 1.
+    - `least_strength`: the smallest share of `usual_strength` that the network can distinguish from 0.
 
     **Raises:** `InputError` for a value that is not allowed, with the name of its field.
     """
@@ -52,11 +46,12 @@ class RestorationConfig:
     channels: int = 48
     blocks: int = 6
     folding: int = 4
+    contrast: float = 0.25
+    usual_strength: float = 4e-4
+    least_strength: float = 1e-3
 
     def __post_init__(self):
-        for name, least in (("scale", 1), ("channels", 1), ("blocks", 0), ("folding", 1)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
+        check_sizes(self, scale=1, channels=1, blocks=0, folding=1)
 
 
 class RestorationNet(eqx.Module):
@@ -83,14 +78,14 @@ class RestorationNet(eqx.Module):
 
     def __call__(self, image: Float[Array, "H W"], strength: Float[ArrayLike, ""]) -> Float[Array, "H W"]:
         """**Arguments:** `image`, a solution, intensity; `strength`, its λ."""
-        (rows, columns), factor = image.shape, self.config.folding
+        (rows, columns), config, factor = image.shape, self.config, self.config.folding
         whole = jnp.pad(image, ((0, -rows % factor), (0, -columns % factor)), mode="edge")
-        folded = fold((whole - jnp.mean(image))[None] / _CONTRAST, factor)
-        share = jnp.maximum(jnp.asarray(strength, image.dtype) / _USUAL, _LEAST)
+        folded = fold((whole - jnp.mean(image))[None] / config.contrast, factor)
+        share = jnp.maximum(jnp.asarray(strength, image.dtype) / config.usual_strength, config.least_strength)
         noise = jnp.full_like(folded[:1], jnp.log(share))
         known = jnp.concatenate([folded, noise]).astype(self.entry.weight.dtype)
         change = self.output(leaky(self.body(leaky(self.entry(known)))))
-        return image + _CONTRAST * unfold(change, factor)[0, :rows, :columns].astype(image.dtype)
+        return image + config.contrast * unfold(change, factor)[0, :rows, :columns].astype(image.dtype)
 
 
 @eqx.filter_jit
@@ -100,7 +95,10 @@ def restored(net: RestorationNet, image: Float[Array, "H W"], strength: Float[Ar
 
 
 def restoration_loss(picture: Float[Array, "H W"], truth: Float[Array, "H W"], border: int) -> Float[Array, ""]:
-    """ln of the mean square error, a border of so many pixels left out: every scene counts by its decibels."""
+    """ln of the mean square error without `border` pixels at each side: every scene counts by its decibels.
+
+    Errors below 50 dB do not count any more.
+    """
     inner = slice(border, -border or None)
     error = (picture - truth.astype(picture.dtype))[inner, inner]
-    return jnp.log(jnp.mean(error**2) + _FLOOR)
+    return jnp.log(jnp.mean(error**2) + 1e-5)

@@ -1,6 +1,6 @@
 """SpikeSR-Net (AAAI 2023, Eq. 3 and 6-14): spike encoder, initialisation, and T stages of gradient and proximal module.
 
-Each stage gives an R^(t) and an X^(t), as each iteration of a solver does, so the two can be laid side by side.
+Each stage gives an R^(t) and an X^(t), as each iteration of a solver does, so that both can be compared.
 
 **What the paper leaves open, and what is chosen here.** It gives the stage count (4), four residual blocks in the
 kernel predictor, the loss, and no other size. The measure for the rest are the 3.34 M parameters that later work counts
@@ -25,9 +25,9 @@ time is intensity. X^(0) is the enlarged firing rate of all blocks plus what the
 only ever add to a picture.
 
 **What is added to the paper's.** With `velocity_channels` the network has an estimate of velocity that is taught the
-true motion of simulated scenes (`learned.networks.velocity`, 0.05 M parameters). Offsets then start from where it says,
+true motion of simulated scenes (`learned.networks.velocity`, 0.05 M parameters). Offsets then start from the estimate,
 and X^(0) from spike intervals read along the tracks (`learned.networks.compensation`); with `deblur_channels` that is
-sharpened first, by layers that are told of motion, noise and light. The shipped ones have both: where the scene moves,
+sharpened first, by layers gated by motion, noise and light. The shipped ones have both: where the scene moves,
 offsets that only the picture's loss teaches stay far from the motion.
 """
 
@@ -43,7 +43,7 @@ from learned.networks.compensation import Deblurring, compensated
 from learned.networks.encoder import PASE, block_times, check_blocks, check_branches, spike_blocks
 from learned.networks.fusion import Initialisation
 from learned.networks.gradient import GradientModule
-from learned.networks.layers import at_least_float32
+from learned.networks.layers import at_least_float32, check_sizes
 from learned.networks.proximal import ProximalModule
 from learned.networks.velocity import VelocityEstimator, base_moments, refined
 from scsr_opt.camera.recording import WHITE_RATE
@@ -73,7 +73,7 @@ class SpikeSRConfig:
       X^(t−1); without alignment its deformable convolutions are plain; without the proximal module X^(t) = R^(t).
     - `velocity_channels`: of the estimator of velocity (`learned.networks.velocity`); 0: there is none, as in the
       paper. With it X^(0) starts from `moments` short times brought to the key frame in the place of the plain firing
-      rate, and offsets from where the velocity says.
+      rate, and offsets from the estimated displacement.
     - `deblur_channels`: with it, of the layers at the picture's resolution that sharpen what X^(0) starts from
       (`Deblurring`); 0: there are none. It takes an estimate of velocity.
     - `velocity_weight`: of the velocity's error in the training loss. The pictures do not teach it: at 0 the estimator
@@ -110,12 +110,10 @@ class SpikeSRConfig:
     deblur_channels: int = 0
 
     def __post_init__(self):
-        for name in ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale"):
-            self._check(name, 1)
-        for name in ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels"):
-            self._check(name, 0)
-        for name in ("velocity_channels", "velocity_weight", "deblur_channels"):
-            self._check(name, 0)
+        ones = ("encoder_channels", "channels", "proximal_channels", "groups", "stages", "scale", "working_scale")
+        zeros = ("encoder_blocks", "degradation_blocks", "refinement_blocks", "proximal_blocks", "levels")
+        zeros += ("velocity_channels", "velocity_weight", "deblur_channels")
+        check_sizes(self, **dict.fromkeys(ones, 1), **dict.fromkeys(zeros, 0))
         if self.deblur_channels and not self.velocity_channels:
             raise InputError(
                 f"deblur_channels is {self.deblur_channels}, but velocity_channels is 0: what is sharpened has been "
@@ -130,10 +128,6 @@ class SpikeSRConfig:
             raise InputError(f"groups is {self.groups}; it must divide channels, {self.channels}.")
         if not (self.gradient or self.proximal):
             raise InputError("gradient and proximal are both False, and a stage would do nothing; leave out one only.")
-
-    def _check(self, name: str, least: int) -> None:
-        if getattr(self, name) < least:
-            raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
 
     @classmethod
     def full(cls, scale: int, **changes: Any) -> "SpikeSRConfig":
@@ -161,7 +155,7 @@ class SpikeSRConfig:
 
 
 class Iterates(NamedTuple):
-    """What the stages give, in intensity (1 = white), with time as the first axis.
+    """Pictures of the stages, in intensity (1 = white), with time as the first axis.
 
     **Fields:** `gradient_steps`: R^(1) … R^(T); `images`: X^(1) … X^(T), the last one the result. Both (T, H, W).
     """
@@ -171,7 +165,7 @@ class Iterates(NamedTuple):
 
 
 class Encoded(NamedTuple):
-    """What a network sees of a recording.
+    """A recording as the stages see it.
 
     **Fields:**
     - `latent`: Y_1 … Y_n (Eq. 3).

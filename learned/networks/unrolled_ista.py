@@ -22,17 +22,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from learned.networks.inputs import Inputs
-from learned.networks.layers import ResidualBlocks, convolution, fold, leaky, unfold
+from learned.networks.layers import ResidualBlocks, check_sizes, convolution, fold, leaky, unfold
 from learned.networks.spikesr import Iterates
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.priors.prior import Prior
-
-# Share of a sample that the picture so far counts for, where what was measured is gathered: it fills what no one saw.
-_FILL = 1e-3
-# Noise by day is 0.01 of white; times this it is of the order of the other inputs.
-_NOISE = 20.0
-_PICTURES = 5  # that a network is shown
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,10 +37,12 @@ class UnrolledConfig:
     - `scale`: s ≥ 1.
     - `stages`: T ≥ 1.
     - `channels`, `blocks`: features and residual blocks of each stage's network.
-    - `folding`: so many pixels each way become channels of one for the network; a divisor of `scale`, so that the
+    - `folding`: a block of `folding` × `folding` pixels becomes channels of one; a divisor of `scale`, so that the
       picture of any sensor can be folded.
     - `boundaries`: frames from the key frame, rising, at which groups of samples with a weight of their own begin.
     - `proximal`: False leaves the networks out, X^(t) = R^(t).
+    - `fill`: weight of the picture so far beside that of a sample (1) in `Context.gathered`; it fills unseen pixels.
+    - `noise_scale`: factor on the noise, 0.01 by day, that brings it to the order of a network's other inputs.
 
     **Raises:** `InputError` for a value that is not allowed, with the name of its field.
     """
@@ -58,22 +54,19 @@ class UnrolledConfig:
     folding: int = 2
     boundaries: tuple[int, ...] = (12, 30)
     proximal: bool = True
+    fill: float = 1e-3
+    noise_scale: float = 20.0
 
     def __post_init__(self):
-        for name, least in (("scale", 1), ("stages", 1), ("channels", 1), ("blocks", 0), ("folding", 1)):
-            self._check(name, least)
+        check_sizes(self, scale=1, stages=1, channels=1, blocks=0, folding=1)
         if self.scale % self.folding:
             raise InputError(f"folding is {self.folding}; it must divide the scale, {self.scale}.")
         if any(later <= earlier for earlier, later in zip((0, *self.boundaries), self.boundaries, strict=False)):
             raise InputError(f"boundaries is {self.boundaries}; they must be above 0, each above the one before it.")
 
-    def _check(self, name: str, least: int) -> None:
-        if getattr(self, name) < least:
-            raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
-
 
 class Context(NamedTuple):
-    """What a stage's network knows beside R^(t).
+    """Inputs of a stage's network beside R^(t).
 
     **Fields:**
     - `first`: X^(0); it used fewer frames than the data term, and no motion that could be wrong.
@@ -123,14 +116,15 @@ class ProximalNetwork(eqx.Module):
     entry: eqx.nn.Conv2d
     body: ResidualBlocks
     output: eqx.nn.Conv2d
-    folding: int = eqx.field(static=True)
+    config: UnrolledConfig = eqx.field(static=True)
 
-    def __init__(self, channels: int, blocks: int, folding: int, *, key: PRNGKeyArray):
+    def __init__(self, config: UnrolledConfig, *, key: PRNGKeyArray):
         entry, body, output = jax.random.split(key, 3)
-        self.entry = convolution(_PICTURES * folding**2 + 1, channels, key=entry)
-        self.body = ResidualBlocks(channels, blocks, key=body)
-        self.output = convolution(channels, folding**2, shrink=0.1, key=output)
-        self.folding = folding
+        pixels = config.folding**2
+        self.entry = convolution(5 * pixels + 1, config.channels, key=entry)  # five pictures and the noise
+        self.body = ResidualBlocks(config.channels, config.blocks, key=body)
+        self.output = convolution(config.channels, pixels, shrink=0.1, key=output)
+        self.config = config
 
     def __call__(self, image: Float[Array, "H W"], context: Context) -> Float[Array, "H W"]:
         pictures = (
@@ -140,12 +134,11 @@ class ProximalNetwork(eqx.Module):
             context.gathered - image,
             context.coverage / (1 + context.coverage),
         )
-        assert len(pictures) == _PICTURES
-        folded = fold(jnp.stack(pictures), self.folding)
-        noise = jnp.full_like(folded[:1], _NOISE) * context.noise
+        folded = fold(jnp.stack(pictures), self.config.folding)
+        noise = jnp.full_like(folded[:1], self.config.noise_scale) * context.noise
         known = jnp.concatenate([folded, noise]).astype(self.entry.weight.dtype)
         change = self.output(leaky(self.body(leaky(self.entry(known)))))
-        return image + unfold(change, self.folding)[0].astype(image.dtype)
+        return image + unfold(change, self.config.folding)[0].astype(image.dtype)
 
 
 class UnrolledISTA(eqx.Module):
@@ -170,10 +163,7 @@ class UnrolledISTA(eqx.Module):
 
     def __init__(self, config: UnrolledConfig, *, key: PRNGKeyArray):
         keys = jax.random.split(key, config.stages)
-        self.networks = tuple(
-            ProximalNetwork(config.channels, config.blocks, config.folding, key=k) if config.proximal else identity
-            for k in keys
-        )
+        self.networks = tuple(ProximalNetwork(config, key=k) if config.proximal else identity for k in keys)
         self.log_factors = jnp.zeros(config.stages)
         self.momenta = jnp.asarray(_momenta(config.stages), jnp.float32)
         self.log_weights = jnp.zeros((config.stages, len(config.boundaries)))
@@ -205,7 +195,7 @@ class UnrolledISTA(eqx.Module):
             if stage:
                 before = before + momenta[stage - 1] * (before - images[-2])
             step = before - step_size * term.gradient(before)
-            gathered, coverage = _gathered(term, step)
+            gathered, coverage = _gathered(term, step, self.config.fill)
             image = network(step, Context(images[0], before, gathered, coverage, inputs.noise, step_size))
             steps.append(step)
             images.append(image)
@@ -222,11 +212,13 @@ def _momenta(stages: int) -> list[float]:
     return found[1:]
 
 
-def _gathered(term: DataTerm, image: Float[Array, "H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+def _gathered(
+    term: DataTerm, image: Float[Array, "H W"], fill: float
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
     """`Context.gathered` and `Context.coverage`."""
     pixels = term.aperture.scale**2
     coverage = term.stencil(jnp.ones_like(image)) * pixels
-    return (term.target * pixels + _FILL * term.blurred(image)) / (coverage + _FILL), coverage
+    return (term.target * pixels + fill * term.blurred(image)) / (coverage + fill), coverage
 
 
 @eqx.filter_jit

@@ -1,8 +1,8 @@
-"""The unrolled iteration with learned measurements: what the spike encoder makes of short blocks of spikes.
+"""The unrolled iteration with learned measurements: short blocks of spikes, encoded.
 
-They take the place of spike intervals. The Y_i of Eq. 4 are the outputs of PASE (Eq. 3) for n short-term blocks around
+Encoded blocks replace spike intervals. The Y_i of Eq. 4 are the outputs of PASE (Eq. 3) for n short-term blocks around
 the key frame, the mean over its branches, placed along the motion at the blocks' middle frames. Where they lie, and so
-M = Σ ω r_j r_jᵀ, follows from the motion alone; c = Σ ω r_j Y_j is linear in Y and hands the loss's gradient on to the
+M = Σ ω r_j r_jᵀ, follows from the motion alone; c = Σ ω r_j Y_j is linear in Y, so that the loss's gradient reaches the
 encoder. The stages are those of `learned.networks.unrolled_ista`.
 """
 
@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from learned.networks.encoder import PASE, check_blocks, check_branches, spike_blocks
 from learned.networks.inputs import Inputs, members_of
+from learned.networks.layers import check_sizes
 from learned.networks.spikesr import Iterates
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from scsr_opt.camera.samples import Samples
@@ -52,8 +53,7 @@ class UnrolledPASEConfig(UnrolledConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        self._check("encoder_channels", 1)
-        self._check("encoder_blocks", 0)
+        check_sizes(self, encoder_channels=1, encoder_blocks=0)
         check_blocks(self.moments, self.length, self.spacing)
         check_branches(self.branches)
 
@@ -82,7 +82,7 @@ class SpikeInputs(eqx.Module):
     noise: Float[Array, ""]
 
     def measured_as(self, values: Float[Array, "n h w"], scale: int) -> Inputs:
-        """What the iteration is given if the blocks measure `values`."""
+        """Inputs of the iteration for blocks that measure `values`."""
         shape = (self.image.shape[0], self.image.shape[1])
         measured = values.reshape(-1)
         taps = Taps(self.index[None], self.down[None], self.right[None])
@@ -106,7 +106,7 @@ class SpikeInputs(eqx.Module):
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, Shaped[Array, "..."]]) -> "SpikeInputs":
-        """From what `arrays` gave, at any precision."""
+        """The inputs that `arrays` took apart, at any precision."""
         found = {field.name: jnp.asarray(arrays[field.name]) for field in dataclasses.fields(cls)}
         floats = {name: v.astype(jnp.float32) for name, v in found.items() if jnp.issubdtype(v.dtype, jnp.floating)}
         return cls(**(found | floats))

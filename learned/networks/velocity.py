@@ -1,11 +1,12 @@
 """Motion as a network sees it: one velocity per pixel, learned from the true motion of simulated scenes.
 
 In the few dozen frames around a key frame, a thousandth of a second, what is seen at a point moves along a straight
-line. So one velocity per pixel of the key frame says where to look at every moment. The offsets of a deformable
-convolution say the same, but each alignment has to find them for itself, from what little of the motion its input shows
-(the residual of a gradient step shows least where it is aligned best), and a picture's loss alone teaches them slowly:
-Chan et al., "Understanding deformable alignment in video super-resolution", AAAI 2021, hold them to an optical flow. A
-simulator knows the motion, so here it is taught outright, once for all alignments, and offsets start from it.
+line. So one velocity per pixel of the key frame gives its place at every moment. The offsets of a deformable
+convolution give it, too, but each alignment has to find its own from an input that hardly shows the motion (the
+residual of a gradient step least of all where it is aligned best), and a picture's loss alone teaches offsets slowly:
+Chan et al., "Understanding deformable alignment in video super-resolution", AAAI 2021, hold them to an optical flow.
+The motion of a simulated scene is known, so the estimate is trained on it, once for all alignments, and offsets start
+there.
 
 The estimate is a sweep: for each of a grid of velocities the moments are shifted back by it, and where they then agree
 the velocity is right. What "agree" means, and which neighbours to believe, is learned. That comes near enough for a
@@ -22,18 +23,30 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from learned.networks.encoder import block_times, check_blocks, spike_blocks
-from learned.networks.layers import convolution, leaky
-from scsr_opt.errors import InputError
+from learned.networks.layers import check_sizes, convolution, leaky
 
-FASTEST = 0.36
-"""Sensor pixels per frame along either axis: the end of the grid. Training has 0.3, and more is not found."""
-_STEPS = 9  # velocities along an axis; 0.09 apart, so that one step moves the outer moments by 1.35 pixels
-_MOMENTS, _LENGTH, _SPACING = 7, 9, 5  # 39 frames
-_FEATURES = 4
-_REFINEMENTS = 3
-_TEXTURE_BLUR, _WINDOW = 1.0, 3.0  # pixels
-_FLAT = 3e-5  # squared slope, (intensity per pixel)², below which texture is not believed
-_LIMIT = 0.5
+
+@dataclasses.dataclass(frozen=True)
+class VelocitySearch:
+    """The grid and the moments of a `VelocityEstimator`, for which its weights were trained.
+
+    **Fields:**
+    - `fastest`: end of the grid of velocities along either axis, sensor pixels per frame. Training has 0.3.
+    - `steps`: velocities along an axis; 0.09 apart, so that one step moves the outer moments by 1.35 pixels.
+    - `moments`, `length`, `spacing`: how many moments, of how many frames, and the frames from one to the next.
+    - `features`: channels in which moments are compared.
+    """
+
+    fastest: float = 0.36
+    steps: int = 9
+    moments: int = 7
+    length: int = 9
+    spacing: int = 5
+    features: int = 4
+
+    def grid(self) -> Float[Array, " steps"]:
+        """The velocities along an axis."""
+        return jnp.linspace(-self.fastest, self.fastest, self.steps, dtype=jnp.float32)
 
 
 class Moments(NamedTuple):
@@ -51,11 +64,11 @@ def moments(
     key_frame: Int[Array, ""] | int,
     white_rate: Float[Array, ""] | float | int,
     *,
-    count: int = _MOMENTS,
-    length: int = _LENGTH,
-    spacing: int = _SPACING,
+    count: int,
+    length: int,
+    spacing: int,
 ) -> Moments:
-    """`count` of them, each of `length` frames, `spacing` apart as far as the recording goes (`spike_blocks`)."""
+    """`count` moments, each of `length` frames, `spacing` apart as far as the recording goes (`spike_blocks`)."""
     length = min(length, spikes.shape[0])
     blocks = spike_blocks(spikes, key_frame, count, length, spacing)
     rates = jnp.mean(blocks.astype(jnp.float32), axis=1) / jnp.asarray(white_rate, jnp.float32)
@@ -68,7 +81,7 @@ def base_moments(
     white_rate: Float[Array, ""] | float | int,
     count: int,
 ) -> Moments:
-    """What `learned.networks.compensation` brings together: moments of 3 frames, from the intervals between spikes.
+    """Moments of 3 frames from the intervals between spikes, for `learned.networks.compensation`.
 
     A count over 3 frames is wrong by up to a spike, and where things move the errors of neighbouring moments, read from
     other pixels, no longer cancel. An interval is wrong by a frame at either end only.
@@ -107,7 +120,7 @@ class VelocityEstimator(eqx.Module):
     Each of seven moments goes through two small convolutions. For each of 9×9 velocities the features are read where
     they would have moved to, and their variance over the moments, against its mean over all velocities, is the cost.
     Convolutions of growing reach (16 pixels in all) turn costs into a distribution over the grid, and its mean is the
-    velocity.
+    velocity. (Numbers: `VelocitySearch`.)
     """
 
     first: eqx.nn.Conv2d
@@ -115,12 +128,14 @@ class VelocityEstimator(eqx.Module):
     entry: eqx.nn.Conv2d
     body: tuple[eqx.nn.Conv2d, ...]
     output: eqx.nn.Conv2d
+    search: VelocitySearch = eqx.field(static=True)
 
-    def __init__(self, channels: int, *, key: PRNGKeyArray):
+    def __init__(self, channels: int, search: VelocitySearch | None = None, *, key: PRNGKeyArray):
+        self.search = search = VelocitySearch() if search is None else search
         keys = jax.random.split(key, 7)
-        self.first = convolution(1, 2 * _FEATURES, size=5, key=keys[0])
-        self.second = convolution(2 * _FEATURES, _FEATURES, key=keys[1])
-        grid = _STEPS**2
+        self.first = convolution(1, 2 * search.features, size=5, key=keys[0])
+        self.second = convolution(2 * search.features, search.features, key=keys[1])
+        grid = search.steps**2
         self.entry = convolution(grid + 1, channels, key=keys[2])
         self.body = tuple(
             eqx.nn.Conv2d(channels, channels, 3, padding=d, dilation=d, key=k)
@@ -135,10 +150,12 @@ class VelocityEstimator(eqx.Module):
         white_rate: Float[Array, ""] | float | int,
     ) -> Float[Array, "2 h w"]:
         """**Arguments:** as of `SpikeSRNet`. The result is float32 at least."""
-        dtype = self.first.weight.dtype
-        rates, times = moments(spikes, key_frame, white_rate)
+        dtype, search = self.first.weight.dtype, self.search
+        rates, times = moments(
+            spikes, key_frame, white_rate, count=search.moments, length=search.length, spacing=search.spacing
+        )
         features = jax.vmap(lambda rate: self.second(leaky(self.first(rate[None]))))(rates.astype(dtype))
-        cost = _sweep(features.astype(jnp.float32), times)
+        cost = _sweep(features.astype(jnp.float32), times, search)
         mean = jnp.mean(cost, axis=0, keepdims=True) + 1e-6
         relative = cost / mean
         seen = jnp.concatenate([relative, jnp.log(mean)]).astype(dtype)
@@ -146,18 +163,19 @@ class VelocityEstimator(eqx.Module):
         for layer in self.body:
             seen = seen + leaky(layer(seen))
         likely = jax.nn.softmax(self.output(seen).astype(jnp.float32) - 4 * relative, axis=0)
-        likely = likely.reshape(_STEPS, _STEPS, *likely.shape[1:])
-        grid = jnp.linspace(-FASTEST, FASTEST, _STEPS, dtype=jnp.float32)
+        likely, grid = likely.reshape(search.steps, search.steps, *likely.shape[1:]), search.grid()
         return jnp.stack([jnp.einsum("ijhw,i->hw", likely, grid), jnp.einsum("ijhw,j->hw", likely, grid)])
 
 
-def _sweep(features: Float[Array, "m c h w"], times: Float[Array, " m"]) -> Float[Array, "grid h w"]:
+def _sweep(
+    features: Float[Array, "m c h w"], times: Float[Array, " m"], search: VelocitySearch
+) -> Float[Array, "grid h w"]:
     """For each velocity of the grid, the variance over the moments of what is read at p + velocity·time."""
     rows, columns = features.shape[2:]
     # The recording's ends can bring a moment this far from the key frame, twice as far as in its middle.
-    reach = math.ceil(FASTEST * (_MOMENTS - 1) * _SPACING) + 1
+    reach = math.ceil(search.fastest * (search.moments - 1) * search.spacing) + 1
     padded = jnp.pad(features, ((0, 0), (0, 0), (reach, reach), (reach, reach)), mode="edge")
-    grid = jnp.linspace(-FASTEST, FASTEST, _STEPS, dtype=jnp.float32)
+    grid = search.grid()
 
     def shifted(x: Array, by: Float[Array, ""], axis: int, size: int) -> Array:
         by = jnp.clip(by, -reach, reach - 1)
@@ -182,20 +200,41 @@ def _sweep(features: Float[Array, "m c h w"], times: Float[Array, " m"]) -> Floa
     return jax.vmap(of_row)(grid).reshape(-1, rows, columns)
 
 
-def refined(seen: Moments, velocity: Float[Array, "2 h w"]) -> Float[Array, "2 h w"]:
+@dataclasses.dataclass(frozen=True)
+class VelocityRefinement:
+    """Numbers of `refined`.
+
+    **Fields:**
+    - `steps` of Gauss and Newton.
+    - `blur`: standard deviation by which moments are smoothed, and `window`: of what is summed around a pixel, pixels.
+    - `flat`: squared slope, (intensity per pixel)², below which texture counts less than the velocities around.
+    - `limit`: largest speed along an axis, sensor pixels per frame.
+    """
+
+    steps: int = 3
+    blur: float = 1.0
+    window: float = 3.0
+    flat: float = 3e-5
+    limit: float = 0.5
+
+
+def refined(
+    seen: Moments, velocity: Float[Array, "2 h w"], numbers: VelocityRefinement | None = None
+) -> Float[Array, "2 h w"]:
     """A velocity that is near the true one made exact: three steps of Gauss and Newton (Lucas and Kanade 1981).
 
     Read along their tracks, p + v·t, the moments change in time by ∇Y·(v − u) where u is the true velocity; u is that
     which explains the change best around a pixel, in a Gaussian window of 3 pixels. Where there is no texture the mean
     velocity around is kept. Nothing is learned here: what learning is needed for is to come near enough.
     """
-    smooth = _blurred(seen.rates, _TEXTURE_BLUR)
-    for _ in range(_REFINEMENTS):
-        velocity = _corrected(Moments(smooth, seen.times), velocity)
-    return jnp.clip(velocity, -_LIMIT, _LIMIT)
+    numbers = VelocityRefinement() if numbers is None else numbers
+    smooth = _blurred(seen.rates, numbers.blur)
+    for _ in range(numbers.steps):
+        velocity = _corrected(Moments(smooth, seen.times), velocity, numbers)
+    return jnp.clip(velocity, -numbers.limit, numbers.limit)
 
 
-def _corrected(seen: Moments, velocity: Float[Array, "2 h w"]) -> Float[Array, "2 h w"]:
+def _corrected(seen: Moments, velocity: Float[Array, "2 h w"], numbers: VelocityRefinement) -> Float[Array, "2 h w"]:
     tracks, inside = jax.vmap(lambda rate, time: _along_track(rate, velocity * time))(*seen)
     time = seen.times[:, None, None]
     count = jnp.maximum(jnp.sum(inside, axis=0), 1.0)
@@ -205,12 +244,12 @@ def _corrected(seen: Moments, velocity: Float[Array, "2 h w"]) -> Float[Array, "
     mean = jnp.pad(jnp.sum(inside * tracks, axis=0) / count, 1, mode="edge")
     down, right = (mean[2:, 1:-1] - mean[:-2, 1:-1]) / 2, (mean[1:-1, 2:] - mean[1:-1, :-2]) / 2
     known = down * velocity[0] + right * velocity[1] - slope
-    # A pixel whose track stays on the sensor for longer says more.
+    # A pixel whose track stays on the sensor for longer has more weight.
     trust = spread / jnp.maximum(jnp.max(spread), 1e-6)
     parts = jnp.stack([down * down, down * right, right * right, down * known, right * known])
-    a, b, d, y, x = _blurred(parts * trust[None], _WINDOW)
-    around = _blurred(velocity, _WINDOW)
-    a, d, y, x = a + _FLAT, d + _FLAT, y + _FLAT * around[0], x + _FLAT * around[1]
+    a, b, d, y, x = _blurred(parts * trust[None], numbers.window)
+    around, flat = _blurred(velocity, numbers.window), numbers.flat
+    a, d, y, x = a + flat, d + flat, y + flat * around[0], x + flat * around[1]
     return jnp.stack([d * y - b * x, a * x - b * y]) / (a * d - b * b)[None]
 
 
@@ -249,8 +288,7 @@ class VelocityConfig:
     moments: int = 21
 
     def __post_init__(self):
-        if self.channels < 1:
-            raise InputError(f"channels is {self.channels}; it must be at least 1.")
+        check_sizes(self, channels=1)
         check_blocks(self.moments, 3, 3)
 
 

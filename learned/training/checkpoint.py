@@ -35,7 +35,7 @@ _MAGIC = b"scsr-network"
 
 @dataclass(frozen=True)
 class Card:
-    """What there is to know of a trained network.
+    """Origin, sizes and scores of a trained network.
 
     **Fields:**
     - `model`: its name in `learned.training.registry`.
@@ -171,8 +171,8 @@ def check_same(path: str | os.PathLike[str], found: Mapping[str, Any], wanted: M
     for name in sorted(a.keys() | b.keys(), key=lambda name: (name != "model", name)):
         if a.get(name) != b.get(name):
             raise InputError(
-                f"{path} was made with another configuration: {name} is {a.get(name)!r} there, but {b.get(name)!r} was "
-                f"asked for; take that, or another file."
+                f"{path} was made with another configuration: {name} is {a.get(name)!r} there, but {b.get(name)!r} is "
+                f"wanted; take that, or another file."
             )
 
 

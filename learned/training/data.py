@@ -5,7 +5,7 @@ An example is a patch of a recording around its key frame, with the true high-re
 are drawn anew for every example, so no example is seen twice and nothing lies on the disk.
 
 Example number i of seed s depends on s and i alone, never on the worker that makes it or on what was made before. A run
-that starts again at step n therefore asks for example n·batch and goes on with exactly what it would have seen.
+that starts again at step n therefore takes example n·batch next and sees exactly what it would have seen.
 
 This module does not import JAX: every process that makes examples (`learned.training.data_loader`) imports it.
 """
@@ -39,8 +39,6 @@ TRAINING_SAMPLES = (
 HELD_OUT_SAMPLES = ("camera", "chelsea")
 """Those that are kept for validation."""
 
-READOUTS = 16
-"""Spike frames from one frame of a video to the next."""
 _ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"}
 
 
@@ -63,7 +61,7 @@ class Example(NamedTuple):
 
 @dataclass(frozen=True)
 class Pictures:
-    """What the scenes are made of.
+    """Pictures that scenes are made of.
 
     **Fields:**
     - `stills`: picture files, or `sample:NAME` for one of `skimage.data`.
@@ -111,12 +109,13 @@ class Examples:
     - `seed`: the same one gives the same examples.
     - `scenes`, `lights`: kinds to draw from (`SCENES`, `LIGHTS`); one that is named twice comes twice as often.
     - `pictures`: what to look at.
+    - `readouts`: spike frames from one frame of a video to the next.
     - `varied`: draw light, photons and turns from ranges. If not, every light is that of its name with one set of
       numbers, and nothing is turned or flipped: for validation.
 
     Motions, per spike frame: 0.05 to 0.3 sensor pixels; turning by up to 0.0015 rad and growing by up to 0.001 in
     `affine`; 0.0034 to 0.0085 rad in `disc` (2600 rpm at 40 kHz are 0.0068). A `video` is a clip if there are any, else
-    a still under a moving, shaking camera; frames are cross-faded over 16 readouts.
+    a still under a moving, shaking camera; frames are cross-faded over `readouts`.
     """
 
     scale: int
@@ -127,6 +126,7 @@ class Examples:
     lights: tuple[str, ...] = LIGHTS
     pictures: Pictures = Pictures.samples()  # noqa: RUF009 (frozen)
     varied: bool = True
+    readouts: int = 16
 
     def __getitem__(self, number: int) -> Example:
         """Example `number`, from 0.
@@ -192,7 +192,7 @@ class Examples:
 
     def _video(self, rng: np.random.Generator) -> Scene:
         key = self.frames // 2
-        before, after = math.ceil(key / READOUTS), math.ceil((self.frames - 1 - key) / READOUTS)
+        before, after = math.ceil(key / self.readouts), math.ceil((self.frames - 1 - key) / self.readouts)
         if not self.pictures.clips:
             # About one HR pixel from frame to frame: what cross-fades more than that is seen twice.
             drift, shake = rng.uniform(-1, 1, 2), rng.uniform(-0.4, 0.4, (before + after + 1, 2))
@@ -200,9 +200,10 @@ class Examples:
             side, margin = self.patch * self.scale, math.ceil(np.abs(path).max()) + 2
             still, inner = Picture(self._cut(rng, side + 2 * margin)), np.arange(side) + float(margin)
             frames = [still.grid(inner - down, inner - right) for down, right in path]
-            return _Later(Video(frames, readouts_per_frame=READOUTS), float(before * READOUTS - key), float(key))
+            video = Video(frames, readouts_per_frame=self.readouts)
+            return _Later(video, float(before * self.readouts - key), float(key))
         clip = self.pictures.clips[rng.integers(len(self.pictures.clips))]
-        spacing = READOUTS
+        spacing = self.readouts
         if len(clip) < before + after + 1:  # too short a clip is stretched in time
             before, after = len(clip) // 2, len(clip) - 1 - len(clip) // 2
             spacing = math.ceil(max(key / before, (self.frames - 1 - key) / after))
@@ -304,7 +305,7 @@ def _halved(picture: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "h w"]:
 
 
 def turned(array: Any, turns: int, flipped: bool) -> Any:
-    """The last two axes turned by 90° so many times, then flipped left to right."""
+    """The last two axes turned by 90° `turns` times, then flipped left to right."""
     found = np.rot90(array, turns, axes=(-2, -1))
     return np.ascontiguousarray(found[..., ::-1] if flipped else found)
 

@@ -1,4 +1,4 @@
-"""Batches of examples, made by other processes while the network learns from the last ones.
+"""Batches of examples in a fixed order, made by other processes while the network learns.
 
 The simulator is NumPy and holds Python's lock most of the time, so threads would not help; processes do. They are
 started afresh and not forked, which a process with an accelerator does not survive. Those that make plain examples do
@@ -36,9 +36,9 @@ def batches(
     """Batches number `start` to `stop` − 1: batch n holds the examples n·batch to (n + 1)·batch − 1.
 
     **Arguments:**
-    - `workers`: processes that make examples ahead of their use; 0: each is made here when it is asked for. A script
-      that asks for some keeps its own work under `if __name__ == "__main__":`, because they import it.
-    - `ahead`: so many batches are made ahead, no more.
+    - `workers`: processes that make examples ahead of their use; 0: each is made here when it is needed. A script
+      that uses some keeps its own work under `if __name__ == "__main__":`, because they import it.
+    - `ahead`: the most batches that are made ahead.
 
     Close the iterator (`contextlib.closing`) where it is not read to its end: that ends the workers. They also end when
     this process is killed.

@@ -11,6 +11,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,48 +27,70 @@ from scsr_opt.calibration.gain_network import GainNetwork, rates_at_rest
 from scsr_opt.camera.scenes import Static
 from scsr_opt.camera.simulator import Sensor, simulate
 
-_PATCH, _BATCH = 56, 12
-# Patches that are kept to draw batches from, and how many of them are made anew before each step.
-_KEPT, _FRESH = 3000, 3
-# So many have no fixed pattern; the others' gains spread by something between.
-_WITHOUT, _SPREAD = 0.45, (0.015, 0.09)
-_SCALES = (1, 2, 2, 3, 4)
-_FRAMES = (51, 101, 101, 101, 201)
-_SENSORS = (*[Sensor()] * 4, Sensor(white_rate=0.3, photons=100.0), Sensor(white_rate=0.1, photons=25.0))
-_RATE, _WARM_UP, _LAST = 1e-3, 100, 0.02
-# Share of the weights of each step in the running mean that is kept in the end.
-_MEAN = 0.005
-_REPORT = 250
-# Errors are of the order of 0.03: so that the loss is about 1.
-_UNIT = 1e3
-# What the report is about: a share of the patches, which is never trained on.
-_HELD_OUT = 48
+
+@dataclass(frozen=True)
+class GainTraining:
+    """Numbers of a training run.
+
+    **Fields:**
+    - `channels`, `layers`: see `GainNetwork`.
+    - `patch`: side of a patch, sensor pixels; `batch`: patches of a step.
+    - `kept`: patches to draw batches from; `fresh`: of them, made anew before each step.
+    - `without`: share of the patches without a fixed pattern; `spread`: range of the spread of the others' gains.
+    - `scales`, `frames`, `sensors`: to draw from.
+    - `rate`: of learning, reached after `warm_up` steps, and falling to the share `last` of it.
+    - `mean`: share of each step's weights in their running mean, which is kept in the end.
+    - `unit`: factor that makes the loss about 1, as errors are of the order of 0.03.
+    - `report_every`: steps; `held_out`: patches, never trained on, whose error is reported.
+    """
+
+    channels: int = 32
+    layers: int = 8
+    patch: int = 56
+    batch: int = 12
+    kept: int = 3000
+    fresh: int = 3
+    without: float = 0.45
+    spread: tuple[float, float] = (0.015, 0.09)
+    scales: tuple[int, ...] = (1, 2, 2, 3, 4)
+    frames: tuple[int, ...] = (51, 101, 101, 101, 201)
+    sensors: tuple[Sensor, ...] = (*[Sensor()] * 4, Sensor(0.3, 100.0), Sensor(0.1, 25.0))  # noqa: RUF009 (frozen)
+    rate: float = 1e-3
+    warm_up: int = 100
+    last: float = 0.02
+    mean: float = 0.005
+    unit: float = 1e3
+    report_every: int = 250
+    held_out: int = 48
+
 
 Patches = tuple[Float[np.ndarray, "_ P P"], Float[np.ndarray, "_ P P"], Float[np.ndarray, "_ P P"]]
 """Rates, relative noise and ln g."""
 
 
-def patch(found: list[np.ndarray], generator: np.random.Generator, spread: float | None = None) -> Patches:
+def patch(
+    found: list[np.ndarray], generator: np.random.Generator, run: GainTraining, spread: float | None = None
+) -> Patches:
     """One patch of one of the pictures `found` (grey, intensity); gains of this spread, or of a random one."""
-    scale = int(generator.choice(_SCALES))
-    side = scale * _PATCH
+    scale = int(generator.choice(run.scales))
+    side = scale * run.patch
     fitting = [picture for picture in found if min(picture.shape) >= side] or found
     picture = fitting[generator.integers(len(fitting))]
-    scale = min(scale, min(picture.shape) // _PATCH)
-    side = scale * _PATCH
+    scale = min(scale, min(picture.shape) // run.patch)
+    side = scale * run.patch
     row, column = (generator.integers(length - side + 1) for length in picture.shape)
     part = np.rot90(picture[row : row + side, column : column + side], int(generator.integers(4)))
     part = part[:, ::-1] if generator.integers(2) else part
     if generator.random() < 0.3:
         part = part * generator.uniform(0.3, 1.0)
     if spread is None:
-        spread = 0.0 if generator.random() < _WITHOUT else generator.uniform(*_SPREAD)
-    sensor = _SENSORS[generator.integers(len(_SENSORS))]
+        spread = 0.0 if generator.random() < run.without else generator.uniform(*run.spread)
+    sensor = run.sensors[generator.integers(len(run.sensors))]
     sensor = Sensor(sensor.white_rate, sensor.photons, fixed_pattern=spread)
     made = simulate(
         Static(part),
         scale=scale,
-        frames=int(generator.choice(_FRAMES)),
+        frames=int(generator.choice(run.frames)),
         sensor=sensor,
         seed=int(generator.integers(2**31)),
     )
@@ -86,12 +109,12 @@ def _joined(patches: list[Patches]) -> Patches:
     return rate, noise, gain
 
 
-def make_step(optimiser: optax.GradientTransformation) -> Callable[..., Any]:
+def make_step(optimiser: optax.GradientTransformation, run: GainTraining) -> Callable[..., Any]:
     """The compiled training step: (network, its running mean, optimiser's state, batch, rate) → the first three, and
     the loss."""
 
     def loss(network: GainNetwork, rate: Array, noise: Array, gain: Array) -> Array:
-        return _UNIT * jnp.mean((jax.vmap(network)(rate, noise) - gain) ** 2)
+        return run.unit * jnp.mean((jax.vmap(network)(rate, noise) - gain) ** 2)
 
     @eqx.filter_jit
     def step(network, mean, state, batch, rate):
@@ -99,7 +122,7 @@ def make_step(optimiser: optax.GradientTransformation) -> Callable[..., Any]:
             value, slope = eqx.filter_value_and_grad(loss)(network, *batch)
             updates, state = optimiser.update(slope, state, network)
         network = eqx.apply_updates(network, jax.tree.map(lambda u: -rate * u, updates))
-        mean = jax.tree.map(lambda m, n: m + _MEAN * (n - m) if eqx.is_array(m) else m, mean, network)
+        mean = jax.tree.map(lambda m, n: m + run.mean * (n - m) if eqx.is_array(m) else m, mean, network)
         return network, mean, state, value
 
     return step
@@ -110,52 +133,52 @@ def train(
     *,
     folder: Path | None,
     steps: int,
-    channels: int = 32,
-    layers: int = 8,
+    run: GainTraining | None = None,
     seed: int = 0,
     report: Callable[[str], Any] = print,
 ) -> GainNetwork:
-    """Trains for so many steps, writes the network to `out` and a card beside it.
+    """Trains for `steps`, writes the network to `out` and a card beside it.
 
-    **Arguments:** `folder` of pictures; scikit-image's own where None. `channels`, `layers`: see `GainNetwork`.
-    `report`: told of the progress, in words.
+    **Arguments:** `folder` of pictures; scikit-image's own where None. `run`: `GainTraining()` where None. `report`:
+    called with lines about the progress.
 
     **Errors:** `InputError` for a folder without large pictures.
     """
     begin = time.perf_counter()
+    run = GainTraining() if run is None else run
     generator = np.random.default_rng(seed)
     found = pictures(folder)
-    network = mean = GainNetwork(channels, layers, key=jax.random.key(seed))
+    network = mean = GainNetwork(run.channels, run.layers, key=jax.random.key(seed))
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
     state = optimiser.init(eqx.filter(network, eqx.is_array))
-    step = make_step(optimiser)
+    step = make_step(optimiser, run)
     found, held_out = kept_out(found)
-    tests = {s: _joined([patch(held_out, generator, s) for _ in range(_HELD_OUT)]) for s in (0.0, 0.05)}
-    kept = _joined([patch(found, generator) for _ in range(_BATCH)])
+    tests = {s: _joined([patch(held_out, generator, run, s) for _ in range(run.held_out)]) for s in (0.0, 0.05)}
+    kept = _joined([patch(found, generator, run) for _ in range(run.batch)])
     losses: list[float] = []
     for number in range(1, steps + 1):
-        fresh = _joined([patch(found, generator) for _ in range(_FRESH)])
-        if len(kept[0]) < _KEPT:
+        fresh = _joined([patch(found, generator, run) for _ in range(run.fresh)])
+        if len(kept[0]) < run.kept:
             kept = _joined([kept, fresh])
         else:
-            at = generator.integers(_KEPT, size=_FRESH)
+            at = generator.integers(run.kept, size=run.fresh)
             for values, new in zip(kept, fresh, strict=True):
                 values[at] = new
-        chosen = generator.integers(len(kept[0]), size=_BATCH)
+        chosen = generator.integers(len(kept[0]), size=run.batch)
         batch = tuple(jnp.asarray(values[chosen]) for values in kept)
-        falling = _LAST + (1 - _LAST) * np.cos(np.pi / 2 * (number - 1) / steps) ** 2
-        rate = _RATE * min(1, number / _WARM_UP) * falling
+        falling = run.last + (1 - run.last) * np.cos(np.pi / 2 * (number - 1) / steps) ** 2
+        rate = run.rate * min(1, number / run.warm_up) * falling
         network, mean, state, loss = step(network, mean, state, batch, jnp.float32(rate))
         losses.append(float(loss))
-        if number % _REPORT == 0:
+        if number % run.report_every == 0:
             missed = {s: _missed(mean, test) for s, test in tests.items()}
-            told = ", ".join(f"{error:.4f} of gains spread by {s}" for s, error in missed.items())
-            recent = np.mean(losses[-_REPORT:])
-            report(f"{number} steps, {time.perf_counter() - begin:.0f} s: loss {recent:.4f}; missed {told}")
+            errors = ", ".join(f"{error:.4f} of gains spread by {s}" for s, error in missed.items())
+            recent = np.mean(losses[-run.report_every :])
+            report(f"{number} steps, {time.perf_counter() - begin:.0f} s: loss {recent:.4f}; missed {errors}")
             mean.save(out)
     mean.save(out)
     card = {
-        "network": f"gains at rest, {layers} convolutions of 3×3, {channels} channels",
+        "network": f"gains at rest, {run.layers} convolutions of 3×3, {run.channels} channels",
         "parameters": sum(x.size for x in jax.tree.leaves(eqx.filter(mean, eqx.is_array))),
         "pictures": len(found),
         "steps": steps,
@@ -183,16 +206,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="the .npz file to write")
     parser.add_argument("--pictures", type=Path, help="a folder of pictures; scikit-image's own if not given")
     parser.add_argument("--steps", type=int, default=10_000)
-    parser.add_argument("--channels", type=int, default=32)
-    parser.add_argument("--layers", type=int, default=8)
+    parser.add_argument("--channels", type=int, default=GainTraining.channels)
+    parser.add_argument("--layers", type=int, default=GainTraining.layers)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     train(
         given.out,
         folder=given.pictures,
         steps=given.steps,
-        channels=given.channels,
-        layers=given.layers,
+        run=GainTraining(channels=given.channels, layers=given.layers),
         seed=given.seed,
     )
 

@@ -5,8 +5,8 @@ A run lives in a folder:
 - `state`: weights, their average, the optimiser, the step, all losses and scores. Written whole and renamed, so a run
   that is killed at any moment goes on from the last one. What follows is then what would have followed: the examples of
   a step depend on the seed and the step alone (see `learned.training.data`), and the program of a step is the same. On
-  a CPU the result is the same to the last bit; on a GPU if it is told to be
-  (`XLA_FLAGS=--xla_gpu_deterministic_ops=true`). A run may be gone on with for more steps; a cosine's learning rate
+  a CPU the result is the same to the last bit; on a GPU with
+  `XLA_FLAGS=--xla_gpu_deterministic_ops=true`. A run may be resumed for more steps; a cosine's learning rate
   then follows the longer plan from there.
 - `last.scsr`, `best.scsr`: the averaged weights, with their card (see `learned.training.checkpoint`); best in mean
   PSNR.
@@ -43,38 +43,36 @@ from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress, check_progress
 
-SKIPPED_IN_A_ROW = 20
-"""So many steps without a finite loss and gradient, one after the other, end a run: chance does not do that."""
-
-_LOOK_EVERY = 10  # steps; asking the accelerator for its numbers at every step would make it wait
-# What may differ from the run that is gone on with: how long, how often, with how many hands.
-_FREE = ("steps", "validate_every", "save_every", "workers")
+_READ_EVERY = 10  # steps between readings of the losses; reading at every step would make an accelerator wait
+# Fields in which a configuration may differ from that of the run that it resumes.
+_FREE = ("steps", "validate_every", "save_every", "workers", "skip_limit")
 
 
-class TrainingResult(enum.Enum):
-    """How a run ended; `sentence` says it."""
+class TrainingStatus(enum.Enum):
+    """End of a run; `message` is a sentence about it."""
 
     finished = "All steps are done."
     diverged = (
-        f"Training failed: {SKIPPED_IN_A_ROW} steps in a row had a loss or a gradient that is not a finite number; "
-        f"start again in another folder with a lower rate or a smaller clip."
+        "Training failed: too many steps in a row (skip_limit) had a loss or a gradient that is not a finite number; "
+        "start again in another folder with a lower rate or a smaller clip."
     )
 
     @property
-    def sentence(self) -> str:
+    def message(self) -> str:
         return self.value
 
     @property
-    def good(self) -> bool:
-        return self is TrainingResult.finished
+    def usable(self) -> bool:
+        """True if the weights can be used."""
+        return self is TrainingStatus.finished
 
 
 @dataclass(frozen=True)
 class Training:
-    """What a run came to.
+    """The result of a run.
 
     **Fields:**
-    - `result`: how it ended.
+    - `status`: how it ended.
     - `model`: with the averaged weights.
     - `steps`: done in all; `skipped`: those that changed nothing, because their loss or gradient was not finite.
     - `losses`: (steps,) float32, of every step; not finite where it was skipped for that.
@@ -83,7 +81,7 @@ class Training:
     - `seconds`: since this call; `waited`: the part of them in which no example was ready.
     """
 
-    result: TrainingResult
+    status: TrainingStatus
     model: Any
     steps: int
     skipped: int
@@ -94,18 +92,18 @@ class Training:
     waited: float
 
     def lines(self) -> list[str]:
-        """What to say of it."""
-        said = [
+        """A summary to print."""
+        lines = [
             f"{self.steps} steps, {self.skipped} of them skipped; {self.seconds:.0f} s, of which {self.waited:.0f} s "
             f"were spent waiting for examples."
         ]
         if self.validated:
             last = self.validated[-1]
-            said.append(
+            lines.append(
                 f"Validation: {last['psnr']:.2f} dB, structural similarity {last['ssim']:.3f}; playback enlarged "
                 f"{self.playback['psnr']:.2f} dB and {self.playback['ssim']:.3f}."
             )
-        return said
+        return lines
 
 
 class _State(NamedTuple):
@@ -118,7 +116,7 @@ class _State(NamedTuple):
 
 
 def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Progress | None = None) -> Training:
-    """Trains a network from the start, or goes on with the run in the folder `out`.
+    """Trains a network from the start, or resumes the run in the folder `out`.
 
     A step takes the mean loss over a batch, its gradient cut to the length `clip`, and one step of Adam. The average of
     the weights follows with min(`ema_decay`, (1 + n)/(10 + n)) after n steps, so that a short run is not held back by
@@ -133,7 +131,7 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
     task = trainable(config.model, config.scale, config.network)
     examples = _examples(config)
     _make_folder(folder)
-    # A run that is gone on with has its own weights, and those it once started from may be gone.
+    # A resumed run has its own weights, and those it once started from may be gone.
     model, origins = (task.build(jax.random.key(config.seed)), []) if _begun(folder) else _built(config, task)
     state, static, optimiser = _first(config, model)
     history = _History(folder, config, static, task, origins)
@@ -155,10 +153,10 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
                 last = done == config.steps
                 validate = last or done % config.validate_every == 0
                 save = last or done % config.save_every == 0
-                if validate or save or done % _LOOK_EVERY == 0:
+                if validate or save or done % _READ_EVERY == 0:
                     history.losses += [float(value) for value in unread]
                     unread.clear()
-                    if int(state.in_a_row) >= SKIPPED_IN_A_ROW:
+                    if int(state.in_a_row) >= config.skip_limit:
                         break
                 if validate:
                     history.validate(state)
@@ -167,9 +165,9 @@ def train(config: TrainingConfig, out: str | os.PathLike[str], *, progress: Prog
                 progress.advance(1)
     finally:
         progress.finish()
-    diverged = int(state.in_a_row) >= SKIPPED_IN_A_ROW
+    diverged = int(state.in_a_row) >= config.skip_limit
     return Training(
-        TrainingResult.diverged if diverged else TrainingResult.finished,
+        TrainingStatus.diverged if diverged else TrainingStatus.finished,
         eqx.combine(state.average, static),
         int(state.done),
         int(state.skipped),
@@ -304,7 +302,7 @@ def _chosen(first: Bool[Array, ""], yes: PyTree, no: PyTree) -> PyTree:
 
 
 class _History:
-    """What has happened in a run, and its folder."""
+    """Losses and scores of a run, and its folder."""
 
     def __init__(
         self, folder: Path, config: TrainingConfig, static: PyTree, task: Trainable, origins: list[dict[str, Any]]
@@ -334,8 +332,8 @@ class _History:
         checkpoint.check_same(path, fixed[0], fixed[1])
         if header["steps"] > self._config.steps:
             raise InputError(
-                f"{path} has {header['steps']} steps behind it, but {self._config.steps} are asked for: ask for more, "
-                f"or train into another folder."
+                f"{path} has {header['steps']} steps behind it, but the configuration has {self._config.steps}: raise "
+                f"that, or train into another folder."
             )
         state, losses = checkpoint.unpacked(path, payload, (first, np.zeros(header["steps"], np.float32)))
         self.losses, self.validated = [float(loss) for loss in losses], header["validated"]
@@ -354,7 +352,7 @@ class _History:
             self._keep("best.scsr", state)
 
     def save(self, state: _State) -> None:
-        """Writes everything; the state comes last, as it says that the rest is there."""
+        """Writes everything; the state comes last, as its presence means that the rest is complete."""
         losses, folder = np.array(self.losses, np.float32), self._folder
         self._keep("last.scsr", state)
         with jax.numpy_dtype_promotion("standard"):
@@ -387,4 +385,4 @@ class _History:
         checkpoint.save(self._folder / name, eqx.combine(state.average, self._static), card)
 
 
-__all__ = ["Training", "TrainingConfig", "TrainingResult", "learning_rate", "train"]
+__all__ = ["Training", "TrainingConfig", "TrainingStatus", "learning_rate", "train"]

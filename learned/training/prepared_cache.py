@@ -1,8 +1,8 @@
 """Examples that take longer to prepare than to learn from: made once, kept in a folder, drawn from at random.
 
-What a network is given may need an estimate of the motion and a pass over all samples, seconds for each recording. So
-many examples as a configuration says are prepared before the first step. They lie in files of a few each, written whole
-and renamed: killed at any moment, the preparation goes on with the next file.
+What a network is given may need an estimate of the motion and a pass over all samples, seconds for each recording. The
+number of examples is that of the configuration, and they are prepared before the first step. Files hold a few each,
+written whole and renamed: a preparation that was killed resumes with the next file.
 
 Pictures are kept in half precision: its rounding, 5·10⁻⁴ of a value at most, is a tenth of the noise of what it rounds,
 and twice as many examples fit into memory.

@@ -1,7 +1,7 @@
 """The networks that can be trained and loaded by their name.
 
 A name stands for a function of the scale and a table of sizes (as a configuration or a checkpoint holds them) to a
-`Trainable`. The module of a network is imported when its name is asked for.
+`Trainable`. The module of a network is imported when its name is looked up.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from scsr_opt.errors import InputError
 
 
 class Preparation(NamedTuple):
-    """How an example becomes what a network is given, where that takes long and no compiled program can do it.
+    """Inputs of a network made from an example, where that takes long and cannot be compiled.
 
     **Fields:**
     - `make(example)`: arrays by name, of the same shapes for all examples of a size; made once

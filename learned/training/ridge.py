@@ -17,6 +17,7 @@ for each task, and then forgotten: in use it is validated. Mirrored copies of fi
 import argparse
 import json
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,23 +37,6 @@ from scsr_opt.priors.ridge_regulariser import (
     profile_and_derivative,
 )
 
-SIDE = 5
-# Negative slopes down to this share of the largest positive one, for the weakly convex prior.
-WEAKEST = 0.1
-_PATCH, _BATCH, _BATCHES = 48, 8, 60
-_NOISE = (0.004, 0.03)
-_SOLVING, _SENSITIVITY = 6, 3
-_FIRST = 40
-_RATE = 0.02
-# The least first knot over the filter's norm. A free one falls towards 0 in long training, which makes the problem
-# stiff and no picture better. That of `HuberTotalVariation` is at 0.014.
-_KNEE = 0.012
-# Knots to begin with. Further ones of a convex prior fall onto the first; a weakly convex one bends down after it.
-_CONVEX, _WEAKLY = (0.02,), (0.02, 0.06, 0.3)
-# Filters whose penalty rises less steeply than this share of the steepest one's have died out.
-_ALIVE = 0.02
-# Ψ of a picture over that of Huber-TV, at which the same λ is best for both.
-_OVER_TV = 1.4
 # scikit-image's own pictures that need no download. Not its astronaut, which is in evaluation sets.
 _OWN = ("camera", "coffee", "chelsea", "rocket", "brick", "grass", "gravel", "coins", "moon", "immunohistochemistry")
 
@@ -67,6 +51,45 @@ class Task(NamedTuple):
 
 
 TASKS = (Task(1, True, 6.0), Task(2, True, 3.0), Task(2, False, 12.0), Task(4, True, 1.0), Task(4, False, 6.0))
+
+
+@dataclass(frozen=True)
+class RidgeTraining:
+    """Numbers of a training run.
+
+    **Fields:**
+    - `weakly`: slopes may be negative, down to `weakest` of the largest positive one.
+    - `side`: of the filters, odd; `singles`, `pairs`: filters of each kind (`Parameters`).
+    - `patch`: side of a patch, pixels; `batch`: patches of a batch; `batches`: how many are kept.
+    - `noise`: range of the noise's standard deviation, intensity.
+    - `first_iterations`: of the solve of a new batch; `iterations`, `sensitivity_iterations`: of both solves in a step.
+    - `rate`: of learning, at first.
+    - `knee`: the least first knot over the filter's norm. A free one falls towards 0 in long training, which makes the
+      problem stiff and no picture better. That of `HuberTotalVariation` is at 0.014.
+    - `convex_knots`, `weakly_convex_knots`: to begin with. Further ones of a convex prior fall onto the first; a weakly
+      convex one bends down after it.
+    - `alive`: filters whose penalty rises less steeply than this share of the steepest one's are removed at the end.
+    - `over_tv`: Ψ of a picture over that of Huber-TV, at which the same λ is best for both.
+    """
+
+    weakly: bool = False
+    weakest: float = 0.1
+    side: int = 5
+    singles: int = 2
+    pairs: int = 3
+    patch: int = 48
+    batch: int = 8
+    batches: int = 60
+    noise: tuple[float, float] = (0.004, 0.03)
+    first_iterations: int = 40
+    iterations: int = 6
+    sensitivity_iterations: int = 3
+    rate: float = 0.02
+    knee: float = 0.012
+    convex_knots: tuple[float, ...] = (0.02,)
+    weakly_convex_knots: tuple[float, ...] = (0.02, 0.06, 0.3)
+    alive: float = 0.02
+    over_tv: float = 1.4
 
 
 class Parameters(NamedTuple):
@@ -95,15 +118,9 @@ class Problems(NamedTuple):
     sensitivity: Any
 
 
-def initial(
-    generator: np.random.Generator,
-    weakly: bool,
-    tasks: tuple[Task, ...] = TASKS,
-    side: int = SIDE,
-    singles: int = 2,
-    pairs: int = 3,
-) -> Parameters:
+def initial(generator: np.random.Generator, run: RidgeTraining, tasks: tuple[Task, ...] = TASKS) -> Parameters:
     """Small random filters of every kind, smoother ones larger, and splines near |t|."""
+    side, singles, pairs = run.side, run.singles, run.pairs
     reach = side // 2
     distance = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
     window = np.exp(-((distance / 2.5) ** 2))
@@ -112,11 +129,11 @@ def initial(
     def filters(*shape: int) -> Array:
         return jnp.asarray(generator.normal(size=(*shape, side, side)) * window * 0.15, jnp.float32)
 
-    start = _WEAKLY if weakly else _CONVEX
+    start = run.weakly_convex_knots if run.weakly else run.convex_knots
     share = np.geomspace(0.9, 0.03, len(start))
-    if weakly:
-        share = (share + WEAKEST) / (1 + WEAKEST)
-    rise = np.log(np.expm1(np.diff(start, prepend=_KNEE)))
+    if run.weakly:
+        share = (share + run.weakest) / (1 + run.weakest)
+    rise = np.log(np.expm1(np.diff(start, prepend=run.knee)))
     return Parameters(
         single=filters(4, singles),
         paired=filters(2, pairs),
@@ -126,7 +143,7 @@ def initial(
     )
 
 
-def parts(θ: Parameters, weakly: bool) -> tuple[Array, Array, Array]:
+def parts(θ: Parameters, run: RidgeTraining) -> tuple[Array, Array, Array]:
     """Filters, knots and slopes of the prior, copies included; the first of spectral norm about 1."""
     mirrored, overturned = θ.single[..., ::-1], θ.single[..., ::-1, :]
     both = mirrored[..., ::-1, :]
@@ -147,11 +164,11 @@ def parts(θ: Parameters, weakly: bool) -> tuple[Array, Array, Array]:
     def with_copies(values: Array) -> Array:
         return jnp.concatenate([values, values[len(single) :]])
 
-    least = WEAKEST if weakly else 0.0
+    least = run.weakest if run.weakly else 0.0
     slopes = -least + (1 + least) * jax.nn.sigmoid(θ.slopes)
     norms = jnp.sqrt(jnp.sum(filters[: len(θ.knots)] ** 2, (1, 2)))
-    knots = norms[:, None] * (_KNEE + jnp.cumsum(jax.nn.softplus(θ.knots), 1))
-    return filters, with_copies(knots), with_copies(_rising(knots, slopes) if weakly else slopes)
+    knots = norms[:, None] * (run.knee + jnp.cumsum(jax.nn.softplus(θ.knots), 1))
+    return filters, with_copies(knots), with_copies(_rising(knots, slopes) if run.weakly else slopes)
 
 
 def _rising(knots: Array, slopes: Array) -> Array:
@@ -163,8 +180,8 @@ def _rising(knots: Array, slopes: Array) -> Array:
     return jnp.stack(risen, 1)
 
 
-def pictures(folder: Path | None) -> list[Float[np.ndarray, "H W"]]:
-    """Grey pictures between 0 and 1: of a folder, or scikit-image's own, which need no download.
+def pictures(folder: Path | None, least: int = 96) -> list[Float[np.ndarray, "H W"]]:
+    """Grey pictures between 0 and 1, of `least` pixels a side or more: of a folder, or scikit-image's own.
 
     **Errors:** `InputError` where no picture is large enough.
     """
@@ -177,22 +194,22 @@ def pictures(folder: Path | None) -> list[Float[np.ndarray, "H W"]]:
     else:
         files = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg", ".tif", ".bmp"))
         found = [np.asarray(Image.open(p).convert("L")) for p in files]
-    found = [(p / 255).astype(np.float32) for p in found if min(p.shape) >= 2 * _PATCH]
+    found = [(p / 255).astype(np.float32) for p in found if min(p.shape) >= least]
     if not found:
-        raise InputError(f"{folder} holds no picture of {2 * _PATCH} pixels a side or more; name another folder.")
+        raise InputError(f"{folder} holds no picture of {least} pixels a side or more; name another folder.")
     return found
 
 
-def _patch(found: list[np.ndarray], generator: np.random.Generator) -> np.ndarray:
-    """One with something in it, of a picture or of the picture halved, turned and mirrored at random."""
+def _patch(found: list[np.ndarray], generator: np.random.Generator, length: int) -> np.ndarray:
+    """A patch with something in it, of a picture or of the picture halved, turned and mirrored at random."""
     while True:
         picture = found[generator.integers(len(found))]
         half = int(generator.integers(2))
-        side = _PATCH << half
-        row, column = (generator.integers(length - side + 1) for length in picture.shape)
+        side = length << half
+        row, column = (generator.integers(extent - side + 1) for extent in picture.shape)
         patch = picture[row : row + side, column : column + side]
         if half:
-            patch = patch.reshape(_PATCH, 2, _PATCH, 2).mean((1, 3))
+            patch = patch.reshape(length, 2, length, 2).mean((1, 3))
         # Flat patches teach little: most are left out.
         if patch.std() > 0.03 or generator.random() < 0.1:
             break
@@ -200,10 +217,12 @@ def _patch(found: list[np.ndarray], generator: np.random.Generator) -> np.ndarra
     return np.ascontiguousarray(patch[:, ::-1] if generator.integers(2) else patch)
 
 
-def problems(found: list[np.ndarray], generator: np.random.Generator, tasks: tuple[Task, ...], task: int) -> Problems:
+def problems(
+    found: list[np.ndarray], generator: np.random.Generator, tasks: tuple[Task, ...], task: int, run: RidgeTraining
+) -> Problems:
     """A batch of one task, with a first picture for each."""
     aperture, grid, _ = tasks[task]
-    truth = np.stack([_patch(found, generator) for _ in range(_BATCH)])
+    truth = np.stack([_patch(found, generator, run.patch) for _ in range(run.batch)])
     kernel = jnp.zeros((4, 4), jnp.float32).at[:aperture, :aperture].set(1 / aperture**2)
     seen = np.asarray(jax.vmap(lambda x: _blurred(kernel, x))(truth))
     weight = np.zeros_like(truth)
@@ -211,9 +230,10 @@ def problems(found: list[np.ndarray], generator: np.random.Generator, tasks: tup
         weight[:, ::aperture, ::aperture] = 1
     else:
         weight[:] = generator.exponential(1 / aperture**2, truth.shape)
-    inside = _PATCH + 1 - aperture
+    inside = run.patch + 1 - aperture
     weight[:, inside:], weight[:, :, inside:] = 0, 0
-    sigma = np.exp(generator.uniform(np.log(_NOISE[0]), np.log(_NOISE[1]), _BATCH)).astype(np.float32)
+    low, high = np.log(run.noise)
+    sigma = np.exp(generator.uniform(low, high, run.batch)).astype(np.float32)
     noise = generator.normal(size=truth.shape) * sigma[:, None, None] / np.sqrt(np.maximum(weight, 1e-3))
     target = np.where(weight > 0, seen + noise, 0).astype(np.float32)
     spread = np.asarray(jax.vmap(lambda m, y: _blurred_adjoint(kernel, m * y))(weight, target))
@@ -252,7 +272,7 @@ def bend(knots: Array, slopes: Array, field: Array) -> Array:
 
 
 class _Forward(NamedTuple):
-    """What one patch's two solves gave, and its λ and mean square error."""
+    """Results of one patch's two solves, and its λ and mean square error."""
 
     picture: Array
     sensitivity: Array
@@ -261,8 +281,17 @@ class _Forward(NamedTuple):
 
 
 def _solve(
-    prior: tuple[Array, Array, Array], λ: Array, kernel: Array, steps: int, truth, target, weight, picture, sensitivity
+    prior: tuple[Array, Array, Array],
+    λ: Array,
+    kernel: Array,
+    steps: tuple[int, int],
+    truth,
+    target,
+    weight,
+    picture,
+    sensitivity,
 ) -> _Forward:
+    """`steps`: iterations of the solve and of that of its sensitivity."""
     filters, knots, slopes = prior
 
     def normal(x: Array) -> Array:
@@ -281,7 +310,7 @@ def _solve(
         moved = ahead - gradient(ahead) / steepest
         return moved, moved + k / (k + 3) * (moved - x)
 
-    picture, _ = jax.lax.fori_loop(0, steps, lambda k, c: descend(k.astype(jnp.float32), c), (picture, picture))
+    picture, _ = jax.lax.fori_loop(0, steps[0], lambda k, c: descend(k.astype(jnp.float32), c), (picture, picture))
     error = picture - truth
     square = jnp.mean(error**2)
     # Between the mean square, which hard patches rule, and its logarithm, which flat ones do.
@@ -292,24 +321,24 @@ def _solve(
 
     bends = bend(knots, slopes, correlate(filters, picture))
 
-    sensitivity, _ = jax.scipy.sparse.linalg.cg(hessian, towards, sensitivity, maxiter=_SENSITIVITY, tol=0.0)
+    sensitivity, _ = jax.scipy.sparse.linalg.cg(hessian, towards, sensitivity, maxiter=steps[1], tol=0.0)
     return _Forward(picture, sensitivity, λ, square)
 
 
-def make_step(optimiser: optax.GradientTransformation, weakly: bool) -> Any:
+def make_step(optimiser: optax.GradientTransformation, run: RidgeTraining) -> Any:
     """The compiled training step: (θ, optimiser's state, batch, rate) → θ, state, solves and mean PSNR; and
     one before it that only solves, for a batch that is new."""
 
     def solved(θ: Parameters, batch: Problems, steps: int) -> _Forward:
-        prior = parts(θ, weakly)
+        prior = parts(θ, run)
         strengths = jnp.exp(θ.strengths[batch.task]) * batch.sigma
-        return jax.vmap(lambda λ, *rest: _solve(prior, λ, batch.kernel, steps, *rest))(
+        return jax.vmap(lambda λ, *rest: _solve(prior, λ, batch.kernel, (steps, run.sensitivity_iterations), *rest))(
             strengths, batch.truth, batch.target, batch.weight, batch.picture, batch.sensitivity
         )
 
     def slant(θ: Parameters, batch: Problems, forward: _Forward) -> Array:
         """−Σ ⟨v, λ∇Ψ_θ(X*)⟩ / n, whose derivative by θ is that of the error."""
-        filters, knots, slopes = parts(θ, weakly)
+        filters, knots, slopes = parts(θ, run)
         strengths = jnp.exp(θ.strengths[batch.task]) * batch.sigma
         # A row a channel: products of matrices and sums along rows, whose derivatives are fast, which those of a
         # convolution are not.
@@ -325,11 +354,11 @@ def make_step(optimiser: optax.GradientTransformation, weakly: bool) -> Any:
 
     @jax.jit
     def settle(θ: Parameters, batch: Problems) -> _Forward:
-        return solved(θ, batch, _FIRST)
+        return solved(θ, batch, run.first_iterations)
 
     @jax.jit
     def step(θ: Parameters, state: Any, batch: Problems, rate: Array) -> tuple[Parameters, Any, _Forward, Array]:
-        forward = solved(θ, batch, _SOLVING)
+        forward = solved(θ, batch, run.iterations)
         slope = jax.grad(slant)(θ, batch, forward)
         with jax.numpy_dtype_promotion("standard"):  # optax counts steps in int32 and multiplies by them
             updates, state = optimiser.update(slope, state, θ)
@@ -342,34 +371,34 @@ def make_step(optimiser: optax.GradientTransformation, weakly: bool) -> Any:
 def train(
     out: Path,
     *,
-    weakly: bool,
     folder: Path | None,
     minutes: float | int,
+    run: RidgeTraining | None = None,
     apertures: tuple[int, ...] = (1, 2),
-    side: int = SIDE,
     seed: int = 0,
     report: Any = print,
 ) -> RidgeRegulariser:
-    """Trains for so many minutes, writes the prior to `out` and a card beside it.
+    """Trains for `minutes`, writes the prior to `out` and a card beside it.
 
-    **Arguments:** `weakly`: slopes may be negative. `folder` of pictures; scikit-image's own where None. `apertures`
-    of the training problems, `side` of the filters. `report`: told of the progress, in words.
+    **Arguments:** `folder` of pictures; scikit-image's own where None. `run`: `RidgeTraining()` where None. `apertures`
+    of the training problems. `report`: called with lines about the progress.
 
     **Errors:** `InputError` for no known aperture, an even side, a folder without large pictures, or if it runs away:
     weakly convex ones do after some thousand steps.
     """
+    run = RidgeTraining() if run is None else run
     tasks = tuple(task for task in TASKS if task.aperture in apertures)
-    if not tasks or side < 3 or side % 2 == 0:
+    if not tasks or run.side < 3 or run.side % 2 == 0:
         raise InputError(
-            f"apertures are {apertures}, side {side}; some of 1, 2 and 4 are needed, and an odd side from 3."
+            f"apertures are {apertures}, side {run.side}; some of 1, 2 and 4 are needed, and an odd side from 3."
         )
     begin = time.perf_counter()
     generator = np.random.default_rng(seed)
-    found = pictures(folder)
-    θ = initial(generator, weakly, tasks, side)
+    found = pictures(folder, 2 * run.patch)
+    θ = initial(generator, run, tasks)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.scale_by_adam())
     state = optimiser.init(θ)
-    settle, step = make_step(optimiser, weakly)
+    settle, step = make_step(optimiser, run)
     batches: list[Problems] = []
     scores: list[float] = []
     number = 0
@@ -377,37 +406,38 @@ def train(
         passed = (time.perf_counter() - begin) / (60 * minutes)
         if passed >= 1:
             break
-        place = number % _BATCHES
+        place = number % run.batches
         if place == len(batches):
-            fresh = problems(found, generator, tasks, place % len(tasks))
+            fresh = problems(found, generator, tasks, place % len(tasks), run)
             kept = settle(θ, fresh)
             batches.append(fresh._replace(picture=kept.picture, sensitivity=kept.sensitivity))
         # The rate falls with the time that has passed, as the number of steps is not known beforehand.
-        rate = jnp.asarray(_RATE * (0.03 + 0.97 * np.cos(np.pi / 2 * passed) ** 2), jnp.float32)
+        rate = jnp.asarray(run.rate * (0.03 + 0.97 * np.cos(np.pi / 2 * passed) ** 2), jnp.float32)
         θ, state, kept, score = step(θ, state, batches[place], rate)
         batches[place] = batches[place]._replace(picture=kept.picture, sensitivity=kept.sensitivity)
         if not np.isfinite(float(score)):
             raise InputError(f"Training ran away after {number} steps; {out.name} is of no use: train for less long.")
         scores.append(float(score))
         number += 1
-        if number % _BATCHES == 0:
-            recent = np.asarray(scores[-_BATCHES:])
+        if number % run.batches == 0:
+            recent = np.asarray(scores[-run.batches :])
             each = " ".join(f"{recent[n :: len(tasks)].mean():.2f}" for n in range(len(tasks)))
             strengths = np.exp(np.asarray(θ.strengths)).round(2)
             report(f"{number} steps, {60 * minutes * passed:.0f} s: {recent.mean():.2f} dB ({each}), λ/σ {strengths}")
-            RidgeRegulariser(*parts(θ, weakly)).save(out)
-    prior = finished(RidgeRegulariser(*parts(θ, weakly)), batches)
+            RidgeRegulariser(*parts(θ, run)).save(out)
+    prior = finished(RidgeRegulariser(*parts(θ, run)), batches, run)
     prior.save(out)
     of = ", ".join(str(aperture) for aperture in sorted(set(apertures)))
     card = {
-        "prior": "weakly convex ridge regulariser" if weakly else "convex ridge regulariser",
+        "prior": "weakly convex ridge regulariser" if run.weakly else "convex ridge regulariser",
         "pictures": len(found),
-        "patches": f"{_BATCHES * _BATCH} of {_PATCH}×{_PATCH}, apertures {of}, noise {_NOISE[0]} to {_NOISE[1]}",
+        "patches": f"{run.batches * run.batch} of {run.patch}×{run.patch}, apertures {of}, noise {run.noise[0]} to "
+        f"{run.noise[1]}",
         "filters": len(prior.filters),
         "steps": number,
         "minutes": minutes,
         "seed": seed,
-        "mean_training_psnr": round(float(np.mean(scores[-_BATCHES:])), 2),
+        "mean_training_psnr": round(float(np.mean(scores[-run.batches :])), 2),
         "curvature": prior.curvature,
         "concavity": prior.concavity,
     }
@@ -415,16 +445,16 @@ def train(
     return RidgeRegulariser.load(out)
 
 
-def finished(prior: RidgeRegulariser, batches: list[Problems]) -> RidgeRegulariser:
-    """Without the filters that have died out, and weighted so that λ means what it does with total variation."""
+def finished(prior: RidgeRegulariser, batches: list[Problems], run: RidgeTraining) -> RidgeRegulariser:
+    """The prior without filters that have died out, weighted so that λ means what it does with total variation."""
     filters, knots, slopes = (np.asarray(values) for values in (prior.filters, prior.knots, prior.slopes))
     falls = slopes - np.pad(slopes[:, 1:], ((0, 0), (0, 1)))
     steepest = np.abs(np.cumsum(falls * knots, 1)).max(1) * np.linalg.norm(filters, axis=(1, 2))
-    alive = steepest > _ALIVE * steepest.max()
+    alive = steepest > run.alive * steepest.max()
     prior = RidgeRegulariser(filters[alive], knots[alive], slopes[alive])
     pictures = jnp.asarray(np.concatenate([batch.truth for batch in batches]))
     usual, own = (float(jnp.sum(jax.lax.map(of.value, pictures))) for of in (HuberTotalVariation(), prior))
-    return prior.scaled(_OVER_TV * usual / own)
+    return prior.scaled(run.over_tv * usual / own)
 
 
 def main() -> None:
@@ -435,16 +465,15 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="a folder of pictures; scikit-image's own if not given")
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--apertures", type=int, nargs="+", choices=(1, 2, 4), default=(1, 2))
-    parser.add_argument("--side", type=int, default=SIDE, help="of the filters, odd")
+    parser.add_argument("--side", type=int, default=RidgeTraining.side, help="of the filters, odd")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     train(
         given.out,
-        weakly=given.kind == "weakly_convex",
         folder=given.pictures,
         minutes=given.minutes,
+        run=RidgeTraining(weakly=given.kind == "weakly_convex", side=given.side),
         apertures=tuple(given.apertures),
-        side=given.side,
         seed=given.seed,
     )
 

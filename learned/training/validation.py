@@ -1,4 +1,4 @@
-"""How good a network is while it trains: fixed recordings of pictures it does not train on, curves, samples.
+"""Quality of a network while it trains: fixed recordings of pictures it does not train on, curves, samples.
 
 The scenes are of the kinds that reconstructions are judged on, in daylight (white rate 0.6, 1000 photons): standing
 still, translation, affine motion, an object and a turning disc before a background. They are the same for every run of
@@ -22,19 +22,25 @@ from scsr_opt.report.figures import bicubic
 from scsr_opt.report.pictures import write_picture
 
 KINDS = ("static", "translation", "affine", "object", "disc")
-EACH = 2
-"""Recordings of a kind."""
-_SEED = 2023  # apart from the seeds people give to training; the pictures are others in any case
+BORDER = 8
+"""Sensor pixels at each side that PSNR and SSIM leave out: there the scene has left the sensor for a time."""
 
 
-def validation_set(scale: int, frames: int, patch: int, *, each: int = EACH) -> list[tuple[str, Example]]:
-    """(kind, example) of every recording, `each` of a kind."""
+def validation_set(
+    scale: int, frames: int, patch: int, *, each: int = 2, seed: int = 2023
+) -> list[tuple[str, Example]]:
+    """(kind, example) of every recording, `each` of a kind. The seed is not one that training runs use."""
     pictures = Pictures.samples(HELD_OUT_SAMPLES)
     sets = {
-        kind: Examples(scale, frames, patch, _SEED, scenes=(kind,), lights=("day",), pictures=pictures, varied=False)
+        kind: Examples(scale, frames, patch, seed, scenes=(kind,), lights=("day",), pictures=pictures, varied=False)
         for kind in KINDS
     }
     return [(kind, examples[n]) for kind, examples in sets.items() for n in range(each)]
+
+
+def border_of(side: int, scale: int) -> int:
+    """Pixels of a picture that scores leave out at each side, a quarter of a sensor of `side` pixels at most."""
+    return min(BORDER, side // 4) * scale
 
 
 def quality(truth: Float[Any, "H W"], image: Float[Any, "H W"], border: int) -> tuple[float, float]:
@@ -55,7 +61,7 @@ def _inner(image: Float[Any, "H W"], border: int) -> Float[np.ndarray, "h w"]:
 
 
 def playback(example: Example, scale: int) -> Float[np.ndarray, "H W"]:
-    """What is to be beaten: TFP over 21 frames, enlarged by bicubic interpolation."""
+    """Reference to compare with: TFP over 21 frames, enlarged by bicubic interpolation."""
     spikes = np.asarray(example.spikes)
     key = spikes.shape[0] // 2
     return bicubic(tfp(spikes, key, white_rate=float(example.white_rate)), scale)
@@ -64,11 +70,9 @@ def playback(example: Example, scale: int) -> Float[np.ndarray, "H W"]:
 def scores(cases: Sequence[tuple[str, Example]], images: Sequence[Float[Any, "H W"]], scale: int) -> dict[str, float]:
     """Means over the recordings of each kind and over all: `psnr`, `ssim`, `psnr_static`, ….
 
-    Eight sensor pixels (a quarter of a patch, if that is less) are left out at the border: there the scene has left the
-    sensor for a part of the recording.
+    A border is left out (`border_of`).
     """
-    patch = np.asarray(cases[0][1].spikes).shape[1]
-    border = min(8, patch // 4) * scale
+    border = border_of(np.asarray(cases[0][1].spikes).shape[1], scale)
     measured = [quality(case.truth, image, border) for (_, case), image in zip(cases, images, strict=True)]
     answer = {
         "psnr": float(np.mean([psnr for psnr, _ in measured])),

@@ -1,11 +1,13 @@
 """Every benchmark on its smallest case: it runs, and makes its page or table."""
 
 import json
+from dataclasses import dataclass, field
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from benchmarks import choosing, command, ladder, masked, sequences, skipping
+from benchmarks import choosing, command, ladder, masked, sensitivity, sequences, skipping
 from benchmarks.bench import __main__ as bench
 from benchmarks.bench.size import Size
 from benchmarks.peers import __main__ as peers
@@ -15,6 +17,7 @@ from benchmarks.recordings import recorded, recording_of
 from benchmarks.stress import __main__ as stress
 from benchmarks.stress.cases import Case
 from scsr_opt import priors, reconstruct, solvers
+from scsr_opt._settings import Settings
 from scsr_opt.baselines import BASELINES
 from scsr_opt.camera import Recording
 from scsr_opt.progress import NoProgress
@@ -116,6 +119,39 @@ def test_masked_smallest_case_ranks_reconstruct_first(recording):
     _, first, second = masked.lines(recording, 2, 0.2, 1, methods)
     assert first.startswith("| reconstruct | 0.0") and "| 0.0 % ± 0.0 % |" in first
     assert float(second.split("|")[2]) > float(first.split("|")[2])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner(Settings):
+    decay: tuple[float, ...] = (1.0, 0.5)
+    count: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outer(Settings):
+    strength: float = 1e-3
+    inner: Inner = field(default_factory=Inner)
+
+
+def test_sensitivity_walks_nested_settings():
+    assert sensitivity.numbers(Outer()) == {"strength": 1e-3, "inner.decay": (1.0, 0.5), "inner.count": 1}
+    assert sensitivity.changed(Outer(), "inner.count", 4) == Outer(inner=Inner(count=4))
+    assert sensitivity.scaled((3, 0.5), 0.5) == (2, 0.25) and sensitivity.scaled(1, 0.5) == 1
+
+
+def test_sensitivity_field_without_effect_is_a_candidate(recording):
+    made = [sensitivity.Case("pan", recording, np.zeros((32, 32)))]
+
+    def solve(recording, *, scale, settings):
+        return reconstruct(recording, scale=scale, strength=settings.strength)
+
+    row, other = (sensitivity.measured(name, made, 1, Outer(), solve) for name in ("strength", "inner.decay"))
+    assert abs(row["+50 %"]["psnr"][0]) > 1e-4 and row["-50 %"]["time"][0] > 0
+    other = other | {way: one | {"time": [1.0]} for way, one in other.items() if way != "value"}
+    text = sensitivity.page({"strength": row, "inner.decay": other})
+    assert "\n| `strength` | 0.001 | " in text and "- `inner.decay`, no picture changes at all" in text
+    slow = sensitivity.measured("inner.count", made, 1, Outer(), solve)
+    assert "- `inner.count`, -50 % (1): the same value" in sensitivity.page({"inner.count": slow})
 
 
 def test_peers_own_row_makes_table():

@@ -82,7 +82,7 @@ def test_a_cut_is_noticed(file, share):
 
 
 def test_other_configurations_are_refused(file):
-    with pytest.raises(InputError, match=r"another configuration: scale is 2 there, but 4 was asked for"):
+    with pytest.raises(InputError, match=r"another configuration: scale is 2 there, but 4 is wanted"):
         load(file, configuration={"scale": 4, "network": {"width": 3}})
     with pytest.raises(InputError, match="weights of other shapes"):
         load(file, like=build(4)(jax.random.key(0)))

@@ -10,7 +10,7 @@ import pytest
 from skimage import data
 
 from learned.evaluation.compare import compare_stages
-from learned.evaluation.reference_problem import reference_clip, reference_problem
+from learned.evaluation.reference_problem import reference_problem, reference_task
 from learned.networks.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
 from learned.training import checkpoint
 from learned.training.data import Example
@@ -144,7 +144,7 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     # digit of that before and after a step.
     # It begins with the data term at the first solution.
     objectives = np.array([stage.objective for stage in found.stages[count:]])
-    rounding = 2 * np.spacing(np.float32(0.5 * reference_problem(reference_clip(recording, scale=2)).plain.energy))
+    rounding = 2 * np.spacing(np.float32(0.5 * reference_problem(reference_task(recording, scale=2)).plain.energy))
     assert rounding < 1e-4 * objectives[0]
     assert objectives[0] <= first.stages[-1].data + rounding
     assert (np.diff(objectives) <= rounding).all()
@@ -192,11 +192,13 @@ def test_a_network_that_fails_is_said(recording, silent, tmp_path):
 
 
 def test_what_is_refused(recording, silent):
-    with pytest.raises(InputError, match="still.scsr was trained for scale 2, but scale 3 was asked for"):
+    with pytest.raises(InputError, match="still.scsr was trained for scale 2, but scale 3 is wanted"):
         silent(recording, scale=3)
-    with pytest.raises(InputError, match="still.scsr was trained for scale 2, but scale 3 was asked for"):
+    with pytest.raises(InputError, match="still.scsr was trained for scale 2, but scale 3 is wanted"):
         compare_stages(recording, [silent], scale=3)
     with pytest.raises(InputError, match="folding is 0; it must be at least 1"):
         RestorationConfig(2, folding=0)
-    with pytest.raises(InputError, match="network.depth is not known: allowed are blocks, channels, folding"):
+    with pytest.raises(
+        InputError, match="network.depth is not known: allowed are blocks, channels, contrast, folding, "
+    ):
         trainable("restoration", 2, {"depth": 3})

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from learned.training.ridge import WEAKEST, bend, initial, parts, pictures, train
+from learned.training.ridge import RidgeTraining, bend, initial, parts, pictures, train
 from scsr_opt.errors import InputError
 from scsr_opt.priors import RidgeRegulariser
 from scsr_opt.priors.ridge_regulariser import bank_norm_squared, profile_and_derivative
@@ -13,10 +13,11 @@ from scsr_opt.priors.ridge_regulariser import bank_norm_squared, profile_and_der
 
 @pytest.mark.parametrize("weakly", [False, True])
 def test_any_parameters_give_a_valid_prior(weakly):
-    θ = jax.tree.map(lambda v: 2 * v, initial(np.random.default_rng(3), weakly))
-    filters, knots, slopes = parts(θ, weakly)
+    run = RidgeTraining(weakly=weakly)
+    θ = jax.tree.map(lambda v: 2 * v, initial(np.random.default_rng(3), run))
+    filters, knots, slopes = parts(θ, run)
     prior = RidgeRegulariser(filters, knots, slopes)
-    least = WEAKEST if weakly else 0
+    least = run.weakest if weakly else 0
     assert -least <= float(prior.slopes.min()) and float(prior.slopes.max()) <= 1
     # The bank is divided by its norm on 32 frequencies a side: 1/cos²(6π/32) above it at most, and not below.
     assert 0.999 <= bank_norm_squared(np.asarray(filters, np.float64)) <= 1 / np.cos(6 * np.pi / 32) ** 2 * 1.03
@@ -43,7 +44,7 @@ def test_pictures_come_from_a_folder_or_from_scikit_image(tmp_path):
 @pytest.mark.slow
 def test_training_lowers_the_error(tmp_path):
     lines: list[str] = []
-    prior = train(tmp_path / "p.npz", weakly=False, folder=None, minutes=2.0, report=lines.append)
+    prior = train(tmp_path / "p.npz", folder=None, minutes=2.0, report=lines.append)
     assert prior.concavity == 0
     scores = [float(line.split("s: ")[1].split(" dB")[0]) for line in lines]
     assert scores[-1] > scores[0] + 0.3

@@ -11,7 +11,7 @@ import pytest
 from learned.networks import inputs
 from learned.training import checkpoint, configs, loop, prepared_cache, registry, validation
 from learned.training.configs import TrainingConfig
-from learned.training.loop import SKIPPED_IN_A_ROW, TrainingResult, learning_rate, train
+from learned.training.loop import TrainingStatus, learning_rate, train
 from learned.training.registry import Preparation, Trainable, trainable
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
@@ -120,7 +120,7 @@ def made(monkeypatch) -> list[float]:
 
 def test_prepared_examples_are_made_once(tmp_path, made):
     train(PREPARED, tmp_path / "straight")
-    shown = 1 * validation.EACH
+    shown = 2  # recordings of its kind
     assert len(made) == len(set(made)) == shown + 10
     with pytest.raises(KeyboardInterrupt):
         train(PREPARED, tmp_path / "killed", progress=Killed(8))
@@ -137,7 +137,7 @@ def test_prepared_examples_are_made_once(tmp_path, made):
 
 def test_prepared_examples_come_in_turn(tmp_path, made):
     train(PREPARED.changed(steps=1), tmp_path)
-    examples = made[validation.EACH :]
+    examples = made[2:]
     kept = prepared_cache.prepare(
         prepared_cache.Preparing(loop._examples(PREPARED), "prepared", 2, {}),
         10,
@@ -192,9 +192,9 @@ def test_a_finished_run_has_nothing_left_to_do_and_can_be_made_longer(tmp_path):
     assert again.steps == 3 and again.losses.tobytes() == first.losses.tobytes()
     longer = train(config.changed(steps=5, workers=1), tmp_path)
     assert longer.steps == 5 and longer.losses[:3].tobytes() == first.losses.tobytes()
-    with pytest.raises(InputError, match="has 5 steps behind it, but 4 are asked for"):
+    with pytest.raises(InputError, match="has 5 steps behind it, but the configuration has 4"):
         train(config.changed(steps=4), tmp_path)
-    with pytest.raises(InputError, match="another configuration: batch is 2 there, but 3 was asked for"):
+    with pytest.raises(InputError, match="another configuration: batch is 2 there, but 3 is wanted"):
         train(config.changed(steps=6, batch=3), tmp_path)
     (tmp_path / "state").write_bytes((tmp_path / "state").read_bytes()[:-9])
     with pytest.raises(InputError, match="damaged or cut short"):
@@ -205,7 +205,7 @@ def test_it_learns(tmp_path):
     """The mean of a 3×3 neighbourhood beats random weights: after 80 steps most of the error is gone."""
     config = CONFIG.changed(steps=80, rate=3e-2, ema_decay=0.9, validate_every=40, save_every=80)
     trained = train(config, tmp_path)
-    assert trained.result is TrainingResult.finished and trained.skipped == 0
+    assert trained.status is TrainingStatus.finished and trained.skipped == 0
     assert trained.losses[-10:].mean() < 0.5 * trained.losses[:5].mean()
     model, card = checkpoint.load(tmp_path / "last.scsr")
     assert np.array_equal(model.weight, trained.model.weight)
@@ -240,8 +240,8 @@ def test_a_step_without_a_finite_loss_is_skipped_and_counted(tmp_path, monkeypat
 def test_too_many_of_them_end_the_run(tmp_path, monkeypatch):
     monkeypatch.setitem(registry.MODELS, "tiny", lambda s, n: tiny(s, n, poison=lambda total: total >= 0))
     trained = train(CONFIG.changed(steps=100, validate_every=100, save_every=100), tmp_path)
-    assert trained.result is TrainingResult.diverged and not trained.result.good
-    assert trained.steps == trained.skipped == SKIPPED_IN_A_ROW and "lower rate" in trained.result.sentence
+    assert trained.status is TrainingStatus.diverged and not trained.status.usable
+    assert trained.steps == trained.skipped == 20 and "lower rate" in trained.status.message
     assert not (tmp_path / "state").exists()  # an earlier one would have been left as it was
 
 

@@ -12,7 +12,6 @@ from learned.networks.compensation import compensated
 from learned.networks.encoder import block_times
 from learned.networks.spikesr import SpikeSRConfig, SpikeSRNet, spikesr_loss
 from learned.networks.velocity import (
-    FASTEST,
     Moments,
     VelocityConfig,
     VelocityNet,
@@ -117,7 +116,7 @@ def test_the_sweep_finds_a_velocity_before_it_has_learned(seed):
     found = np.asarray(eqx.filter_jit(estimator)(jnp.asarray(example.spikes), 20, jnp.asarray(example.white_rate)))
     inner = (slice(None), slice(6, -6), slice(6, -6))
     truth = example.velocity[inner]
-    assert np.abs(found).max() <= FASTEST
+    assert np.abs(found).max() <= estimator.search.fastest
     assert np.sum(found[inner] * truth) > 0.25 * np.sum(truth**2)
 
 

@@ -1,4 +1,4 @@
-"""The ladder of models: one face, one measure."""
+"""All models by name: one interface, one measure."""
 
 import importlib
 import subprocess
@@ -15,7 +15,7 @@ from skimage import data
 import learned
 from learned import load_model, zoo
 from learned.evaluation import inference
-from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, read, reference_clip, reference_problem
+from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, read, reference_problem, reference_task
 from learned.networks.restoration import RestorationConfig, RestorationNet
 from learned.networks.spikesr import SpikeSRConfig, SpikeSRNet
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
@@ -51,7 +51,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def posed(recording) -> ReferenceProblem:
-    return reference_problem(reference_clip(recording, scale=2))
+    return reference_problem(reference_task(recording, scale=2))
 
 
 @pytest.fixture(scope="module")
@@ -84,9 +84,9 @@ def files(tmp_path_factory):
 @pytest.fixture
 def shelf(files, monkeypatch):
     monkeypatch.setattr(zoo, "CHECKPOINTS", files)
-    learned._rung.cache_clear()
+    learned._model.cache_clear()
     yield files
-    learned._rung.cache_clear()
+    learned._model.cache_clear()
 
 
 def network(name: str) -> Network:
@@ -104,10 +104,10 @@ def test_which_models_can_be_used(shelf):
 
 
 @pytest.mark.parametrize(("scale", "name"), [(2, "ridge"), (4, "fista-huber")])
-def test_the_default_rung_is_reconstruct(recording, scale, name):
-    rung, usual = model(name, scale)(recording, scale=scale), reconstruct(recording, scale=scale, solver=FISTA())
-    np.testing.assert_array_equal(rung.image, usual.image)
-    assert [stage.objective for stage in rung.stages] == [stage.objective for stage in usual.stages]
+def test_default_model_gives_the_picture_of_reconstruct(recording, scale, name):
+    chosen, usual = model(name, scale)(recording, scale=scale), reconstruct(recording, scale=scale, solver=FISTA())
+    np.testing.assert_array_equal(chosen.image, usual.image)
+    assert [stage.objective for stage in chosen.stages] == [stage.objective for stage in usual.stages]
 
 
 def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
@@ -117,30 +117,30 @@ def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
     # The same sums in another program: rounding of float32 in a sum of some thousand terms of one sign.
     assert float(reading.data) == pytest.approx(solution.stages[-1].data, rel=1e-5)
     assert float(reading.objective) == pytest.approx(solution.stages[-1].objective, rel=1e-5)
-    rung = model("fista-huber", 2)
-    assert isinstance(rung, Optimizer)
+    chosen = model("fista-huber", 2)
+    assert isinstance(chosen, Optimizer)
     again = reconstruct(
-        posed.clip.recording,
+        posed.task.recording,
         scale=2,
-        key=posed.clip.key,
+        key=posed.task.clip.key_frame,
         strength=float(posed.strength),
         prior=PRIOR,
         solver=FISTA(),
     )
-    np.testing.assert_array_equal(rung.solve(posed).image, again.image)
-    again = rung.solve(posed, start=solution.image)
+    np.testing.assert_array_equal(chosen.solve(posed).image, again.image)
+    again = chosen.solve(posed, start=solution.image)
     # Its dual variable, which a picture does not hold, is all that has to be found again.
     assert len(again.stages) < len(solution.stages) / 2
     assert again.stages[-1].objective == pytest.approx(solution.stages[-1].objective, rel=1e-4)
 
 
 def test_motion_during_exposures_is_in_the_measure(monkeypatch):
-    """f is that of the samples read along their exposures, at whatever picture it is asked for."""
+    """f is that of the samples read along their exposures, at whatever picture it is evaluated."""
     rng = np.random.default_rng(0)
     dim = (rng.random((41, 20, 24)) < 0.08).astype(np.uint8)  # long exposures
     motion = Motion.of_velocity(np.broadcast_to(np.array([0.4, -0.6], np.float32)[:, None, None], (2, 20, 24)))
     monkeypatch.setattr(task, "motion_in", lambda *_: motion)
-    posed = reference_problem(reference_clip(dim, scale=2), strength=0.002)
+    posed = reference_problem(reference_task(dim, scale=2), strength=0.002)
     assert posed.placed.finest > 1
     for image in (posed.first, jnp.asarray(rng.random((40, 48)), jnp.float32)):
         missed = np.asarray(posed.placed.read(posed.plain.blurred(image)) - posed.placed.value, np.float64)
@@ -151,8 +151,8 @@ def test_motion_during_exposures_is_in_the_measure(monkeypatch):
 
 
 def test_a_network_of_identities_stays_where_it_starts(shelf, recording, posed, solution):
-    rung = network("spikesr-small")
-    found = rung.solve(posed, start=solution.image, keep_images=True)
+    chosen = network("spikesr-small")
+    found = chosen.solve(posed, start=solution.image, keep_images=True)
     assert found.status is Status.stages_done and found.status.usable and len(found.stages) == 2
     for stage in found.stages:
         np.testing.assert_array_equal(stage.image, solution.image)
@@ -162,7 +162,7 @@ def test_a_network_of_identities_stays_where_it_starts(shelf, recording, posed, 
         assert stage.step_size == 0  # it does not go along the gradient
         # What FISTA ended with bounds it but for the dual steps that it saved.
         assert stage.residual < 5 * max(solution.stages[-1].residual, 1e-4)
-    own = rung(recording, scale=2)
+    own = chosen(recording, scale=2)
     assert own.status is Status.stages_done
     assert own.stages[-1].objective > 2 * solution.stages[-1].objective
     assert own.stages[-1].residual > 100 * found.stages[-1].residual
@@ -235,7 +235,7 @@ def test_networks_see_the_nearest_good_pixel_in_the_place_of_a_bad_one(recording
     spikes = np.array(recording.spikes)
     spikes[:, bad] = 1
     marked = Recording.from_array(spikes, bad_pixels=bad)
-    seen = reference_clip(marked, scale=2).seen
+    seen = inference.plausible_spikes(reference_task(marked, scale=2).clip)
     np.testing.assert_array_equal(seen[:, ~bad], spikes[:, ~bad])
     neighbours = [spikes[:, row, column] for row, column in ((2, 0), (3, 1))]
     assert any((seen[:, 3, 0] == other).all() for other in neighbours)
@@ -266,12 +266,12 @@ def test_what_cannot_be(shelf, tmp_path, recording, posed):
     checkpoint.save(tmp_path / "part.scsr", part, checkpoint.Card("velocity", configuration, "none", 0, "none", {}))
     with pytest.raises(InputError, match="The stages of velocity are not known; take a SpikeSR-Net"):
         model(str(tmp_path / "part.scsr"), 2)
-    with pytest.raises(InputError, match="was trained for scale 2, but scale 3"):
+    with pytest.raises(InputError, match="was trained for scale 2, but scale 3 is wanted"):
         network(str(shelf / "unrolled-x2.scsr"))(recording, scale=3, record=False)
     for name in ("fista-huber", "unrolled"):
         with pytest.raises(InputError, match=r"start has shape \(20, 24\)"):
             model(name, 2).solve(posed, start=np.zeros((20, 24), np.float32))
     with pytest.raises(InputError, match="white_rate"):
-        reference_clip(recording, scale=2, white_rate=-1)
+        reference_task(recording, scale=2, white_rate=-1)
     with pytest.raises(InputError, match="strength"):
-        reference_problem(reference_clip(recording, scale=2), strength=-1)
+        reference_problem(reference_task(recording, scale=2), strength=-1)

@@ -1,4 +1,4 @@
-"""How a network is trained: configurations, as TOML files. Those in this folder go by their names."""
+"""Configurations of training, TOML files. Those in this folder are found by their names."""
 
 import dataclasses
 import math
@@ -38,6 +38,7 @@ class TrainingConfig:
     - `rate`: the greatest learning rate. `schedule`: `constant`; `halving` every `halve_every` steps; `cosine`, from 0
       up to `rate` over `warm_up` steps, then down to a hundredth of it along half a cosine.
     - `clip`: greatest norm of the gradient; longer ones are shortened to it.
+    - `skip_limit`: steps in a row without a finite loss and gradient that end a run as failed.
     - `ema_decay`: of the moving average of the weights, which is what is validated and kept.
     - `precision`: `bfloat16` computes in it; weights, their updates and the loss stay float32.
     - `validate_every`, `save_every`: steps. Killed, a run loses what it did since it saved.
@@ -61,6 +62,7 @@ class TrainingConfig:
     warm_up: int = 0
     halve_every: int = 10_000
     clip: float | int = 1.0
+    skip_limit: int = 20
     ema_decay: float | int = 0.999
     precision: str = "float32"
     seed: int = 0
@@ -75,7 +77,10 @@ class TrainingConfig:
 
     @classmethod
     def of(cls, table: Mapping[str, Any], source: str = "The configuration") -> "TrainingConfig":
-        """From the entries of a TOML file. **Raises:** `InputError` for an entry that is missing, unknown or wrong."""
+        """A configuration of the entries of a TOML file.
+
+        **Raises:** `InputError` for an entry that is missing, unknown or wrong.
+        """
         for name in table:
             if name not in _RULES:
                 raise InputError(
@@ -92,7 +97,7 @@ class TrainingConfig:
 
     @classmethod
     def read(cls, name: str | os.PathLike[str]) -> "TrainingConfig":
-        """From a TOML file, or by the name of one that comes with the package (`names()`).
+        """The configuration in a TOML file, or of a name that comes with the package (`names()`).
 
         **Raises:** `InputError` if there is none of that name, or it cannot be used.
         """
@@ -108,7 +113,7 @@ class TrainingConfig:
         return cls.of(table, str(path))
 
     def changed(self, **fields: Any) -> "TrainingConfig":
-        """The same with other values."""
+        """A copy with other values of some fields."""
         return self.of(self.plain() | fields)
 
     def plain(self) -> dict[str, Any]:
@@ -173,6 +178,7 @@ _RULES: dict[str, _Rule] = {
     "warm_up": _whole(0, "steps"),
     "halve_every": _whole(1, "steps"),
     "clip": _number(lambda value: value > 0, "above 0"),
+    "skip_limit": _whole(1, "steps"),
     "ema_decay": _number(lambda value: 0 <= value < 1, "from 0 to below 1"),
     "precision": _one_of(PRECISIONS),
     "seed": _whole(0, "from which everything random follows"),

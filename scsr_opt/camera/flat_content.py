@@ -1,8 +1,9 @@
 """Remarks on a flat file whose bits do not look like spikes of the size that it is read with.
 
-A flat file says nothing of itself, so bytes of any kind open at any size. What gives them away: pixels that fire
-without regard to when they last did (another kind of file, or frames of another length), frames of which each holds two
-(twice the height), and rows that do not agree with each other while those of another width do.
+A flat file says nothing of itself, so bytes of any kind open at any size. What gives them away: records of a fixed
+length (another kind of file), pixels that fire without regard to when they last did (another kind of file, or frames of
+another length), frames of which each holds two (twice the height), and rows that do not agree with each other while
+those of another width do.
 """
 
 import dataclasses
@@ -10,6 +11,7 @@ import math
 
 from scsr_opt.camera.flat import likely_layouts, show_size
 from scsr_opt.camera.plausibility import better_width, regularities, regularity, unsaturated
+from scsr_opt.camera.records import record_length
 from scsr_opt.camera.sampling import rates_of, trains_of
 from scsr_opt.camera.sources import FlatLayout, FlatSource
 
@@ -30,8 +32,12 @@ _COMPARED_PIXELS = 1 << 17
 
 def remark(source: FlatSource) -> str | None:
     """Sentence on bits that do not look like spikes of this size, with one that does; None if nothing is amiss."""
-    _, height, width = source.shape
-    if regularity(trains_of(source)).irregular and _fires_at_random(source):
+    frames, height, width = source.shape
+    layout = source.layout
+    record = record_length(source.packed(0, frames), layout.row_bits, layout.frame_bits(height))
+    if record is not None:
+        why, better = f"it consists of records of {record} bytes, some of whose bits are always set", None
+    elif regularity(trains_of(source)).irregular and _fires_at_random(source):
         why, better = (
             "a pixel fires without regard to when it last did, which no spike camera does",
             _better_frames(source),

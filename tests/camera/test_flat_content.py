@@ -1,6 +1,7 @@
 """Flat files: layouts found by length and bits, and remarks where bits do not look like spikes of that size."""
 
 import itertools
+import math
 import warnings
 import zlib
 from typing import Any
@@ -176,8 +177,36 @@ def test_read_recording_of_no_spikes_is_warned_of(tmp_path, kind, size):
     content = _garbage(kind)
     path = tmp_path / "r.dat"
     path.write_bytes(content[: len(content) // (width * height // 8) * (width * height // 8)])
-    with pytest.warns(UserWarning, match=rf"r\.dat does not look like spikes of {size}: a pixel fires without regard"):
+    why = "(a pixel fires without regard|it consists of records of 8 bytes)"
+    with pytest.warns(UserWarning, match=rf"r\.dat does not look like spikes of {size}: {why}"):
         read_recording(path, size=size)
+
+
+@pytest.mark.parametrize("constant", [0.1, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("length", [7, 9, 11, 13, 14, 18, 21, 26, 28, 33, 36, 60])
+@pytest.mark.parametrize("size", [(64, 48), (400, 250)])
+def test_read_recording_of_records_is_warned_of(tmp_path, size, length, constant):
+    """Constant fields that drift over the sensor by their length are what a moving pattern would be."""
+    rng = np.random.default_rng(length)
+    records = rng.integers(0, 256, (400_000 // length, length), np.uint8)
+    fields = math.ceil(constant * length)
+    records[:, :fields] = rng.integers(1, 256, fields, np.uint8)
+    width, height = size
+    content, frame = records.tobytes(), width * height // 8
+    path = tmp_path / "r.dat"
+    path.write_bytes(content[: len(content) // frame * frame])
+    with pytest.warns(UserWarning, match=rf"of {width}x{height}: it consists of records of {length} bytes"):
+        read_recording(path, size=size)
+
+
+@pytest.mark.parametrize("period", [2, 3, 6, 8, 12, 16])
+@pytest.mark.parametrize("shape", [(60, 40, 48), (60, 41, 24), (60, 13, 26)])
+def test_read_recording_of_saturated_columns_are_no_records(tmp_path, shape, period):
+    """Columns that are always set make the bytes repeat, too: as rows and frames do."""
+    spikes = _spikes(*shape)
+    spikes[:, :, ::period] = 1
+    path = write_recording(tmp_path / "r.dat", spikes)
+    np.testing.assert_array_equal(_quiet(path, size=shape[:0:-1]).spikes, spikes)
 
 
 @pytest.mark.parametrize("name", RECORDINGS)

@@ -209,10 +209,16 @@ def _read_npz(request: _Request) -> _Read:
     if frames is not None:
         array = _unpacked(array, frames, where)
     array = as_spikes(array, where)
-    if time_axis(array, where, size=request.size, convention=None if key == "arr_0" else FIRST) == LAST:
+    convention = None if key == "arr_0" else FIRST
+    if time_axis(array, where, size=request.size, convention=convention, written=_written(extras)) == LAST:
         array = np.moveaxis(array, -1, 0)
     upright = array[:, ::-1] if request.flip else array
     return ArraySource.of(upright), bool(request.flip), extras
+
+
+def _written(extras: dict[str, Any]) -> bool:
+    """Test of a file by `write_recording`, which stores both rates with the spikes."""
+    return all(name in extras for name in _RATES)
 
 
 def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:
@@ -264,11 +270,12 @@ def _read_hdf5(request: _Request) -> _Read:
             extras = {name: _scalar(np.asarray(attributes[name])) for name in _RATES if name in attributes}
             if _MASK in file:
                 extras[_MASK] = np.asarray(file[_MASK])
-            last = time_axis(dataset, where, size=request.size, convention=FIRST) == LAST
+            axis = time_axis(dataset, where, size=request.size, convention=FIRST, written=_written(extras))
     except InputError:
         raise
     except DAMAGED as error:
         raise hdf5_fault(path, error) or _damaged(path, "HDF5 file", error) from error
+    last = axis == LAST
     source = Hdf5Source(path, key, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
     return source, bool(request.flip), extras

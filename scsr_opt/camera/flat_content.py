@@ -10,7 +10,7 @@ import dataclasses
 import math
 
 from scsr_opt.camera.flat import likely_layouts, show_size
-from scsr_opt.camera.plausibility import better_width, regularities, regularity, unsaturated
+from scsr_opt.camera.plausibility import better_width, narrower_width, regularities, regularity, unsaturated
 from scsr_opt.camera.records import record_length
 from scsr_opt.camera.sampling import rates_of, trains_of
 from scsr_opt.camera.sources import FlatLayout, FlatSource
@@ -71,12 +71,15 @@ def _holds_two(source: FlatSource) -> bool:
 
 
 def _better_rows(source: FlatSource) -> tuple[int, int] | None:
-    """(width, height) of as many pixels, with rows that agree."""
-    pixels = source.shape[1] * source.shape[2]
+    """(width, height) of as many pixels, with rows that agree, or of which one row here holds several."""
+    _, height, width = source.shape
+    pixels = height * width
     rates = rates_of(source)
-    middle = rates[max(0, len(rates) - _COMPARED_PIXELS) // 2 :][:_COMPARED_PIXELS]
+    start = max(0, pixels - _COMPARED_PIXELS) // 2 // width * width
+    middle = rates[start:][:_COMPARED_PIXELS]
     sides = range(math.isqrt(pixels // _LONGEST_SIDE), math.isqrt(pixels * _LONGEST_SIDE) + 1)
-    better = better_width(middle, source.shape[2], [side for side in sides if side and pixels % side == 0])
+    others = [side for side in sides if side and pixels % side == 0]
+    better = better_width(middle, width, others) or narrower_width(middle, width, others)
     return (better, pixels // better) if better else None
 
 

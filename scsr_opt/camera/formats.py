@@ -32,7 +32,15 @@ import h5py
 import numpy as np
 
 from scsr_opt.camera.axes import FIRST, LAST, time_axis
-from scsr_opt.camera.flat import better_layout, contradicted_size, find_layout, find_size, parse_size, show_size
+from scsr_opt.camera.flat import (
+    better_layout,
+    contradicted_size,
+    find_layout,
+    find_size,
+    parse_size,
+    show_size,
+    uncertain_alignment,
+)
 from scsr_opt.camera.flat_content import remark
 from scsr_opt.camera.magic import HDF5, NPY, ZIP, kind_of
 from scsr_opt.camera.plausibility import axis_regularity
@@ -161,9 +169,9 @@ def _read_flat(request: _Request) -> _Read:
             f"are dropped; if the picture looks sheared, the size is another one.",
             stacklevel=3,
         )
-    contradicted = contradicted_size(path, size)
-    if contradicted:
-        warnings.warn(contradicted, stacklevel=3)
+    for doubt in (contradicted_size(path, size), uncertain_alignment(path, height, layout)):
+        if doubt:
+            warnings.warn(doubt, stacklevel=3)
     flipped = request.flip is None or bool(request.flip)
     source = FlatSource(path, (frames, height, width), layout, flipped)
     amiss = remark(source)

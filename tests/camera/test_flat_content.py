@@ -134,6 +134,25 @@ def test_frames_packed_with_padding_stay_what_they_are(tmp_path, width, height):
     np.testing.assert_array_equal(_quiet(path, size=(width, height)).spikes, spikes)
 
 
+@pytest.mark.parametrize(("width", "height"), [(33, 31), (31, 33), (15, 9), (9, 7), (63, 33), (101, 3)])
+def test_a_short_file_of_either_packing_is_never_misread_without_a_word(tmp_path, width, height):
+    """Up to seven frames are as long in both packings, and the bits that would fill them up may be zero by chance."""
+    path, told = tmp_path / "r.dat", 0
+    for seed, frames in itertools.product(range(4), range(2, 8)):
+        spikes = simulate(Static(_smooth(height, width, seed=seed)), scale=1, frames=frames, seed=seed).spikes
+        for content in (spikes.reshape(-1), spikes.reshape(frames, -1)):
+            path.write_bytes(np.packbits(content, axis=-1, bitorder="little").tobytes())
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                recording = read_recording(path, size=(width, height), flip=False)
+            if not caught:
+                np.testing.assert_array_equal(recording.spikes, spikes)
+                told += 1
+            else:
+                assert "may follow each other without, and the content does not tell" in str(caught[0].message)
+    assert told > 12
+
+
 def test_frames_of_neither_packing_are_refused(tmp_path):
     (tmp_path / "r.dat").write_bytes(np.random.default_rng(0).bytes(41 * 300 + 7))
     with pytest.raises(InputError, match="holds set bits where a frame of 25x13, .* is filled up with zeros"):
@@ -210,7 +229,9 @@ def test_read_recording_of_saturated_columns_are_no_records(tmp_path, shape, per
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-@pytest.mark.parametrize("wrong", [(250, 400), (500, 200), (200, 500), (1000, 100), (400, 125), (200, 125)])
+@pytest.mark.parametrize(
+    "wrong", [(250, 400), (500, 200), (200, 500), (1000, 100), (400, 125), (200, 125), (800, 125), (2000, 50)]
+)
 def test_a_wrong_size_of_a_real_recording_is_warned_of_with_the_right_one(tmp_path, shared_data, name, wrong):
     path = tmp_path / "r.dat"
     path.symlink_to(shared_data / "recordings" / name)
@@ -235,6 +256,23 @@ def test_a_size_the_other_way_round_is_warned_of_by_the_rows(tmp_path, width, he
     _quiet(path, size=(width, height))
     with pytest.warns(UserWarning, match=rf"its rows do not agree .*; size {width}x{height} \S* ?looks right"):
         read_recording(path, size=(height, width))
+
+
+@pytest.mark.parametrize("beside", [2, 4])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (80, 40), (96, 60)])
+def test_rows_beside_each_other_are_warned_of(tmp_path, width, height, beside):
+    path = write_recording(tmp_path / "r.dat", _spikes(40, height, width))
+    with pytest.warns(UserWarning, match=rf"its rows do not agree .*; size {width}x{height} \S* ?looks right"):
+        read_recording(path, size=(beside * width, height // beside))
+
+
+@pytest.mark.parametrize("columns", [2, 4])
+@pytest.mark.parametrize("sigma", [1.0, 2.0])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (80, 40), (96, 60)])
+def test_a_picture_that_repeats_along_its_rows_is_not_remarked_on(tmp_path, width, height, sigma, columns):
+    picture = np.tile(_smooth(height, width // columns, sigma), (1, columns))
+    spikes = simulate(Static(picture), scale=1, frames=40).spikes
+    _quiet(write_recording(tmp_path / "r.dat", spikes), size=(width, height))
 
 
 def _scenes(height: int, width: int):

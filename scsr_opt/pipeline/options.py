@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array, own
-from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, rectangle, whole
+from scsr_opt._validation import check_type, flag, picture_shape, pixel_gain, prior_strength, rectangle, whole
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, checked_white_rate
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.errors import InputError
@@ -165,6 +165,7 @@ class Options:
         strength = None if self.strength is None else prior_strength(self.strength)
         if strength is None:
             relative_strength(prior)  # a prior without one is refused before anything is computed
+        prior.check(picture_shape((height, width), scale))
         return dataclasses.replace(
             self,
             samples=Intervals() if self.samples is None else self.samples,

@@ -99,6 +99,9 @@ class Bounded(Prior[BoundedState]):
     def has_prox(self) -> bool:
         return self.prior.has_prox
 
+    def check(self, shape: tuple[int, int]) -> None:
+        self.prior.check(shape)
+
     def with_inner_iterations(self, iterations: int) -> "Bounded":
         return dataclasses.replace(self, prior=self.prior.with_inner_iterations(iterations))
 

@@ -21,7 +21,7 @@ from jaxtyping import UInt8
 from scsr_opt.camera.plausibility import Regularity, regularity
 from scsr_opt.camera.sampling import trains_of
 from scsr_opt.camera.sources import FlatLayout, FlatSource
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 CAMERA_SIZES = ((400, 250), (1000, 1000))
 """(width, height) of the spike cameras whose recordings are about."""
@@ -54,7 +54,9 @@ def parse_size(size: Any) -> tuple[int, int]:
         except TypeError:
             sides = ()
     if len(sides) != 2 or min(sides) < 1:
-        raise InputError(f"The size {size!r} cannot be read: give it as WIDTHxHEIGHT in pixels, for example 400x250.")
+        raise InputError(
+            f"The size {shown(size)} cannot be read: give it as WIDTHxHEIGHT in pixels, for example 400x250."
+        )
     return (sides[0], sides[1])
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scsr_opt._arrays import as_array
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.sources import as_spikes, checked_shape
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 WINDOW = 21
 """Frames that `tfp` averages over, where nothing else is said and the recording has as many."""
@@ -270,7 +270,7 @@ def _index(value: Any, name: str) -> int:
     try:
         return operator.index(value)
     except TypeError:
-        raise InputError(f"{name} is {value!r}, but frames are counted in whole numbers.") from None
+        raise InputError(f"{name} is {shown(value)}, but frames are counted in whole numbers.") from None
 
 
 def _between(name: str, value: Any, below: float, unit: str) -> float:
@@ -280,5 +280,5 @@ def _between(name: str, value: Any, below: float, unit: str) -> float:
         number = math.nan
     if not 0 < number < below:
         limit = "above 0" if below == math.inf else f"between 0 and {below:g}"
-        raise InputError(f"{name} is {value!r}, but it must be a finite number {limit}, {unit}.")
+        raise InputError(f"{name} is {shown(value)}, but it must be a finite number {limit}, {unit}.")
     return number

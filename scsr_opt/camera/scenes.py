@@ -21,7 +21,7 @@ from jaxtyping import Float, UInt8
 from scipy.linalg import expm
 
 from scsr_opt.camera.pictures import Picture, as_intensity
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 KEY = 50.0
 """Key time where none is given: the middle of the simulator's 101 frames."""
@@ -221,7 +221,7 @@ class _Layered(Scene):
         self._picture = Picture(picture)
         if not callable(getattr(shape, "coverage", None)):
             raise InputError(
-                f"shape is {shape!r}, but it must be an Ellipse or a Box (anything with coverage(rows, columns))."
+                f"shape is {shown(shape)}, but it must be an Ellipse or a Box (anything with coverage(rows, columns))."
             )
         self._shape = shape
         self.size = self._background.size
@@ -368,7 +368,7 @@ def _number(value: Any, name: str, unit: str, most: float = _FARTHEST) -> float:
         number = math.nan
     if not abs(number) <= most:
         raise InputError(
-            f"{name} is {value!r}, but it must be a finite number, {unit}, of {most:.3g} at most either way."
+            f"{name} is {shown(value)}, but it must be a finite number, {unit}, of {most:.3g} at most either way."
         )
     return number
 
@@ -380,8 +380,8 @@ def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
         first = second = math.nan
     if not (abs(first) <= _FARTHEST and abs(second) <= _FARTHEST):
         raise InputError(
-            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of {_FARTHEST:.3g} at "
-            f"most either way."
+            f"{name} is {shown(value)}, but it must be two finite numbers (rows, columns), in {unit}, of "
+            f"{_FARTHEST:.3g} at most either way."
         )
     return (first, second)
 

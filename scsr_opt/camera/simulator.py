@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from scsr_opt.camera.recording import WHITE_RATE, checked_white_rate
 from scsr_opt.camera.scenes import Scene
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.progress import Progress, check_progress
 
 DARK_ELECTRONS = 1000.0
@@ -36,7 +36,7 @@ def _real(value: Any) -> float:
 
 def _check(name: str, value: Any, good: bool, allowed: str) -> None:
     if not good:
-        raise InputError(f"{name} is {value!r}, but it must be a number {allowed}.")
+        raise InputError(f"{name} is {shown(value)}, but it must be a number {allowed}.")
 
 
 @dataclass(frozen=True)
@@ -278,5 +278,5 @@ def _whole(value: Any, name: str, least: int) -> int:
     except TypeError:
         number = least - 1
     if number < least:
-        raise InputError(f"{name} is {value!r}, but it must be a whole number of at least {least}.")
+        raise InputError(f"{name} is {shown(value)}, but it must be a whole number of at least {least}.")
     return number

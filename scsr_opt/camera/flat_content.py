@@ -2,15 +2,22 @@
 
 A flat file says nothing of itself, so bytes of any kind open at any size. What gives them away: records of a fixed
 length (another kind of file), pixels that fire without regard to when they last did (another kind of file, or frames of
-another length), frames of which each holds two (twice the height), and rows that do not agree with each other while
-those of another width do.
+another length), frames of which each holds two (twice the height), rows that do not agree with each other while
+those of another width do, and bytes that hold their pixels in the other order.
 """
 
 import dataclasses
 import math
 
 from scsr_opt.camera.flat import likely_layouts, show_size
-from scsr_opt.camera.plausibility import better_width, narrower_width, regularities, regularity, unsaturated
+from scsr_opt.camera.plausibility import (
+    better_width,
+    bits_reversed,
+    narrower_width,
+    regularities,
+    regularity,
+    unsaturated,
+)
 from scsr_opt.camera.records import record_length
 from scsr_opt.camera.sampling import rates_of, trains_of
 from scsr_opt.camera.sources import FlatLayout, FlatSource
@@ -44,10 +51,16 @@ def remark(source: FlatSource) -> str | None:
         )
     elif _holds_two(source):
         why, better = "each frame holds two, one above the other", (width, height // 2)
+    elif (better := _better_rows(source)) is not None:
+        why = "its rows do not agree with each other"
+    elif _bits_reversed(source):
+        return (
+            f"{source.path.name} does not look like spikes of {show_size((width, height))} as cameras write them: the "
+            f"first of eight pixels seems to be in the highest bit, as numpy.packbits has it; pack it with "
+            f"bitorder='little'."
+        )
     else:
-        why, better = "its rows do not agree with each other", _better_rows(source)
-        if better is None:
-            return None
+        return None
     advice = f"size {show_size(better)} looks right" if better else "check the size, and whether it is a recording"
     return f"{source.path.name} does not look like spikes of {show_size((width, height))}: {why}; {advice}."
 
@@ -68,6 +81,13 @@ def _holds_two(source: FlatSource) -> bool:
     # Two pixels that see opposite parts of a pattern that moves take turns as well, but only in the long run.
     certain = [found for found in regularities(trains_of(halves)) if found.certain]
     return bool(certain) and max(certain).ratio < _ONE_PIXEL_BELOW
+
+
+def _bits_reversed(source: FlatSource) -> bool:
+    """Test of bytes that hold eight pixels of a row in the other order."""
+    return source.layout.segments == ((0, source.layout.row_bits),) and (
+        source.layout.row_bits % 8 == 0 and bits_reversed(rates_of(source))
+    )
 
 
 def _better_rows(source: FlatSource) -> tuple[int, int] | None:

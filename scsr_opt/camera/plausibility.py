@@ -51,6 +51,11 @@ LEAST_DROP = 0.02
 """Correlation that is lost at least from one row to the next where rows lie beside each other: 0.05 to 0.1 in the
 recordings. Where every row is the same, it is not known how many lie beside each other."""
 
+ACROSS_BELOW, CROSSED_OVER = 0.2, 0.9
+"""Covariance of neighbours in two bytes below which bytes hold their pixels in the other order, and by how much that of
+the pixels which it makes neighbours is above it, as fractions of that of neighbours in a byte: 0.6 to 0.9 and below 0
+in the recordings, below -0.9 and above 1.1 where each of their bytes is turned round."""
+
 
 class Regularity(NamedTuple):
     """Coincidences of neighbours, as a fraction of those that chance would make, and the number of these."""
@@ -183,6 +188,22 @@ def narrower_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[
             if np.ptp(apart) < (one - two) / 2:
                 return other
     return None
+
+
+def bits_reversed(rates: Shaped[np.ndarray, "n"]) -> bool:
+    """Test of pixels that are stored with the first of eight in the highest bit: within a byte neighbours agree, across
+    bytes the last and the first of eight do not, but those that the other order puts there do.
+
+    **Arguments:** `rates`: spikes of the pixels in the order of the file, beginning on a whole byte.
+    """
+    values = _fine(rates[: len(rates) // 8 * 8]).reshape(-1, 8)
+    if len(values) < 2:
+        return False
+    variance = float((values * values).mean())
+    inside = float((values[:, 1:] * values[:, :-1]).mean())
+    across, crossed = float((values[1:, 0] * values[:-1, 7]).mean()), float((values[1:, 7] * values[:-1, 0]).mean())
+    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / values.size**0.5) * variance
+    return inside > least and across < ACROSS_BELOW * inside and crossed - across > CROSSED_OVER * inside
 
 
 def _fine(rates: Shaped[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

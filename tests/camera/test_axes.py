@@ -215,6 +215,16 @@ def test_a_known_camera_against_the_convention_is_asked_for_where_the_content_do
         read_recording(_saved(tmp_path, name, np.zeros((250, 400, 3), np.uint8)))
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("factor", [2, 255, -1])
+def test_values_that_are_no_spikes_are_refused_before_the_axis_is_asked_for(tmp_path, name, factor):
+    array = np.full((60, 40, 48), factor, np.int16)
+    with pytest.raises(
+        InputError, match=rf"holds values from {factor} to {factor}, but a spike frame has only 0 and 1"
+    ):
+        read_recording(_saved(tmp_path, name, array))
+
+
 @pytest.mark.parametrize("axis", [1, 2])
 def test_from_array_with_time_elsewhere_is_warned_of(axis):
     spikes = _spikes((60, 40, 48))

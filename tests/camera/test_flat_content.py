@@ -240,6 +240,25 @@ def test_a_wrong_size_of_a_real_recording_is_warned_of_with_the_right_one(tmp_pa
             read_recording(path, size=wrong, flip=flip)
 
 
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_bytes_of_a_real_recording_in_the_other_order_are_warned_of(tmp_path, shared_data, name):
+    stored = np.fromfile(shared_data / "recordings" / name, np.uint8)
+    path = tmp_path / "r_400x250.dat"
+    path.write_bytes(np.packbits(np.unpackbits(stored, bitorder="little")).tobytes())
+    with pytest.warns(
+        UserWarning, match=r"the first of eight pixels seems to be in the highest bit.*bitorder='little'"
+    ):
+        read_recording(path)
+
+
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (80, 40), (96, 60), (400, 64)])
+def test_bytes_in_the_other_order_are_warned_of(tmp_path, width, height):
+    path = tmp_path / "r.dat"
+    path.write_bytes(np.packbits(_spikes(40, height, width)).tobytes())
+    with pytest.warns(UserWarning, match="the first of eight pixels seems to be in the highest bit"):
+        read_recording(path, size=(width, height))
+
+
 def test_frames_of_twice_the_height_are_warned_of(tmp_path, shared_data):
     path = tmp_path / "r.dat"
     path.symlink_to(shared_data / "recordings" / RECORDINGS[0])

@@ -9,9 +9,9 @@ import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 Item = TypeVar("Item")
 
@@ -56,6 +56,14 @@ class _ReadingFailed(Exception):
     def __init__(self, error: OSError):
         super().__init__(str(error))
         self.error = error
+
+
+def as_path(path: Any) -> Path:
+    """`path` as a Path. **Raises:** `InputError` if it is none."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise InputError(f"{shown(path)} is no path of a file: give a str or a Path.") from None
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

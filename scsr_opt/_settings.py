@@ -4,7 +4,7 @@ import math
 import operator
 from dataclasses import dataclass, fields
 
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,10 +21,10 @@ class Settings:
             example = one.default_factory() if callable(one.default_factory) else one.default
             if isinstance(example, Settings):
                 if not isinstance(value, type(example)):
-                    raise InputError(f"{name} is {value!r}; it must be a {type(example).__name__}.")
+                    raise InputError(f"{name} is {shown(value)}; it must be a {type(example).__name__}.")
             elif isinstance(example, tuple):
                 if not isinstance(value, tuple) or len(value) != len(example):
-                    raise InputError(f"{name} is {value!r}; it must be a tuple of {len(example)} numbers.")
+                    raise InputError(f"{name} is {shown(value)}; it must be a tuple of {len(example)} numbers.")
                 object.__setattr__(
                     self, one.name, tuple(_number(part, like, name) for part, like in zip(value, example, strict=True))
                 )
@@ -41,5 +41,7 @@ def _number(value: object, example: object, name: str) -> float | int:
         found = math.nan
     if not (math.isfinite(found) and found >= 0):
         kind = "whole" if whole else "finite"
-        raise InputError(f"{name} is {value!r}; it must be a {kind} number that is not negative, such as {example!r}.")
+        raise InputError(
+            f"{name} is {shown(value)}; it must be a {kind} number that is not negative, such as {example!r}."
+        )
     return found

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 # Pixels of the largest picture: a solve holds about 40 numbers for each, 16 GB in all.
 _MOST_PIXELS = 10**8
@@ -26,7 +26,7 @@ def whole(value: Any, name: str, least: int, most: int | None = None) -> int:
         number = None
     if number is None or number < least or (most is not None and number > most):
         limits = f"at least {least}" if most is None else f"from {least} to {most}"
-        raise InputError(f"{name} is {value!r}; it must be a whole number, {limits}.")
+        raise InputError(f"{name} is {shown(value)}; it must be a whole number, {limits}.")
     return number
 
 
@@ -38,7 +38,7 @@ def number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], li
     except (TypeError, ValueError):
         found = math.nan
     if not (math.isfinite(found) and allowed(found)):
-        raise InputError(f"{name} is {value!r}; it must be a finite number {limits}.")
+        raise InputError(f"{name} is {shown(value)}; it must be a finite number {limits}.")
     return found
 
 
@@ -50,14 +50,14 @@ def prior_strength(strength: SupportsFloat, name: str = "strength") -> float:
 def flag(value: object, name: str) -> bool:
     """`value` as a bool. **Raises:** `InputError` for anything else, as "no" would be true."""
     if not isinstance(value, bool | np.bool_):
-        raise InputError(f"{name} is {value!r}; it must be True or False.")
+        raise InputError(f"{name} is {shown(value)}; it must be True or False.")
     return bool(value)
 
 
 def check_type(value: object, kind: type, name: str, example: str) -> None:
     """**Raises:** `InputError` if `value` is neither None nor a `kind`, with an `example` of one."""
     if value is not None and not isinstance(value, kind):
-        raise InputError(f"{name} is {value!r}; it must be a {kind.__name__}, such as {example}.")
+        raise InputError(f"{name} is {shown(value)}; it must be a {kind.__name__}, such as {example}.")
 
 
 def picture_shape(sensor: tuple[int, int], scale: int) -> tuple[int, int]:
@@ -79,7 +79,7 @@ def rectangle(crop: Any, name: str = "crop") -> tuple[int, int, int, int]:
         top, left, height, width = map(operator.index, crop)
     except (TypeError, ValueError) as error:
         raise InputError(
-            f"{name} is {crop!r}; it must be (top, left, height, width), four whole numbers of sensor pixels."
+            f"{name} is {shown(crop)}; it must be (top, left, height, width), four whole numbers of sensor pixels."
         ) from error
     return top, left, height, width
 
@@ -122,7 +122,7 @@ def iteration_count(owner: str, given: float | int, what: str) -> int:
     """
     found = finite(given)
     if not (found >= 1 and found == int(found)):
-        raise InputError(f"{owner} was given {given!r} {what}; it needs a whole number of at least 1.")
+        raise InputError(f"{owner} was given {shown(given)} {what}; it needs a whole number of at least 1.")
     return int(given)
 
 
@@ -134,7 +134,7 @@ def positive(owner: str, name: str, given: float | int, most: float | int = math
     found = finite(given)
     if not 0 < found <= most:
         limit = "" if most == math.inf else f" and at most {most:g}"
-        raise InputError(f"{owner} was given {name} {given!r}; it needs a finite number above 0{limit}.")
+        raise InputError(f"{owner} was given {name} {shown(given)}; it needs a finite number above 0{limit}.")
     return found
 
 
@@ -142,5 +142,6 @@ def checked_tolerance(owner: str, given: float | int) -> None:
     """**Errors:** `InputError` unless `given` is a finite number of at least 0."""
     if not finite(given) >= 0:
         raise InputError(
-            f"{owner} was given tolerance {given!r}; it is a relative measure of at least 0 (0: use all iterations)."
+            f"{owner} was given tolerance {shown(given)}; it is a relative measure of at least 0 (0: use all "
+            f"iterations)."
         )

@@ -1,5 +1,7 @@
 """Exceptions of the library: `InputError` for what cannot be used, `SolveError` for a solve that failed."""
 
+from typing import Any
+
 
 class InputError(ValueError):
     """A recording, a file or an argument cannot be used as it is.
@@ -11,3 +13,16 @@ class InputError(ValueError):
 
 class SolveError(RuntimeError):
     """A solve failed; raised only where `throw=True` asks for it. Its message is that of the `Status`."""
+
+
+_SHOWN = 80
+"""Characters of a value, at most, that an error shows."""
+
+
+def shown(value: Any) -> str:
+    """`value` for an error, on one line: an array by its shape, and the beginning of what is long."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple) and shape:
+        return f"an array of shape {shape}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"

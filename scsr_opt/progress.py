@@ -6,7 +6,7 @@ the caller decides whether anybody sees it. Compiled loops report after each chu
 
 from typing import Any, Protocol, runtime_checkable
 
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 
 @runtime_checkable
@@ -31,7 +31,7 @@ def check_progress(progress: Any) -> None:
     one of its objects, would fail only in the middle of the work."""
     if progress is not None and (isinstance(progress, type) or not isinstance(progress, Progress)):
         raise InputError(
-            f"progress is {progress!r}; it must be None or an object with the methods start, advance and finish "
+            f"progress is {shown(progress)}; it must be None or an object with the methods start, advance and finish "
             f"(scsr_opt.progress.Progress), such as scsr_opt.report.RichProgress()."
         )
 

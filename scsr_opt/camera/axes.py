@@ -1,8 +1,9 @@
 """Axis of time of an array: (frames, rows, columns) and (rows, columns, frames) are both about.
 
 Nothing is chosen on the quiet. What decides is, in this order: the size, where it was given; the content, where it is
-clear (see `plausibility`); the size of a known camera; and the convention of the name. Where these do not tell, or
-contradict each other, the error names both readings.
+clear (see `plausibility`); the size of a known camera; and the convention of the name, if the content speaks for it or
+the other reading is not one of a sensor (`_of_a_sensor`). Where these do not tell, or contradict each other, the error
+names both readings.
 """
 
 import warnings
@@ -14,8 +15,13 @@ from scsr_opt.errors import InputError
 
 FIRST, LAST = 0, 2
 
+_LEAST_SIDE = 8
+"""Rows, columns and frames from which on a reading is one of a sensor that could be recorded."""
+_LONGEST_SIDE = 4
+"""Longer side of a sensor, in shorter ones, up to which a reading is one: cameras have up to 2.5."""
 
-def time_axis(stored: Any, where: str, *, size: Any, convention: int | None) -> int:
+
+def time_axis(stored: Any, where: str, *, size: Any, convention: int | None, written: bool = False) -> int:
     """Axis of time of `stored`, FIRST or LAST.
 
     **Arguments:**
@@ -24,6 +30,7 @@ def time_axis(stored: Any, where: str, *, size: Any, convention: int | None) -> 
     - `size`: (width, height) as `parse_size` reads it, or None.
     - `convention`: the axis that is time where nothing speaks against it; None for `arr_0`, which is time last by
       convention, and time first where `np.savez(path, spikes)` wrote it.
+    - `written`: whether `write_recording` wrote it, so that the convention holds where the content does not tell.
 
     **Raises:** `InputError` if the size fits no reading, or it is not certain which one is right.
     """
@@ -53,7 +60,10 @@ def time_axis(stored: Any, where: str, *, size: Any, convention: int | None) -> 
         if sensor == LAST:
             return LAST
     elif (other := contradiction(found, convention)) is None:
-        if sensor in (None, convention) or found[convention].regular:
+        if sensor == convention or found[convention].regular:
+            return convention
+        unlikely = not found[LAST].regular and not _of_a_sensor(shape, LAST)
+        if sensor is None and (written or unlikely or _speaks_for_time_first(found)):
             return convention
     elif other == sensor:
         return other
@@ -66,6 +76,18 @@ def _by_content(found: tuple[Regularity, ...]) -> int | None:
     # With few frames, or in the dark, there is nothing to count along time, but along the other axis there is.
     possible = regular or [axis for axis in (FIRST, LAST) if not found[axis].irregular]
     return possible[0] if len(possible) == 1 and not found[1].regular else None
+
+
+def _speaks_for_time_first(found: tuple[Regularity, ...]) -> bool:
+    """Test of content that lets time last look less likely than time first."""
+    first, last = found[FIRST], found[LAST]
+    return last.irregular or (first.certain and not first.irregular and not last.regular)
+
+
+def _of_a_sensor(shape: tuple[int, ...], axis: int) -> bool:
+    """Test of a reading with as many frames, rows and columns as a recording has at least."""
+    sides = _size(shape, axis)
+    return min(shape) >= _LEAST_SIDE and max(sides) <= _LONGEST_SIDE * min(sides)
 
 
 def _size(shape: tuple[int, ...], axis: int) -> tuple[int, int]:

@@ -10,6 +10,7 @@ length and from its bits.
 import codecs
 import dataclasses
 import operator
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from jaxtyping import UInt8
 from scsr_opt.camera.plausibility import Regularity, regularity
 from scsr_opt.camera.sampling import trains_of
 from scsr_opt.camera.sources import FlatLayout, FlatSource
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 CAMERA_SIZES = ((400, 250), (1000, 1000))
 """(width, height) of the spike cameras whose recordings are about."""
@@ -31,6 +32,8 @@ _SAMPLED_BITS, _SAMPLED_FRAMES = 1 << 22, (8, 64)
 """Bits, and frames at least and at most, all over a file by which layouts are told from each other."""
 _GAP_CHANGES = 0.01
 """Fraction of the bits between pixels that may differ from frame to frame, bit errors, as a part of the pixels'."""
+_CHANCE = 1e-3
+"""Probability below which bits that fill up frames are not zero by chance."""
 
 _SIZE = re.compile(r"\s*(\d+)\s*[xX×]\s*(\d+)\s*")
 # Two digits at least, so that names such as `car_2x4` (a scale) are not taken for a size.
@@ -51,7 +54,9 @@ def parse_size(size: Any) -> tuple[int, int]:
         except TypeError:
             sides = ()
     if len(sides) != 2 or min(sides) < 1:
-        raise InputError(f"The size {size!r} cannot be read: give it as WIDTHxHEIGHT in pixels, for example 400x250.")
+        raise InputError(
+            f"The size {shown(size)} cannot be read: give it as WIDTHxHEIGHT in pixels, for example 400x250."
+        )
     return (sides[0], sides[1])
 
 
@@ -212,9 +217,11 @@ def _alignment(path: Path, height: int, layout: FlatLayout) -> FlatLayout:
     **Raises:** `InputError` if the bits that should fill up the last byte of a frame are set, and it is not clear.
     """
     bits, length = height * layout.row_bits, path.stat().st_size
-    if bits % 8 == 0 or layout.frames(length, height) == 0 or not _sampled(path, height, layout)[:, bits:].any():
+    if bits % 8 == 0 or layout.frames(length, height) == 0:
         return layout
     packed = dataclasses.replace(layout, aligned=False)
+    if not _sampled(path, height, layout)[:, bits:].any():
+        return packed if _both_fit(path, height, layout) and _fires(path, height, packed, layout) else layout
     if length * 8 % bits < 8 and not (
         _pace(path, height, packed).irregular and not _pace(path, height, layout).irregular
     ):
@@ -223,6 +230,35 @@ def _alignment(path: Path, height: int, layout: FlatLayout) -> FlatLayout:
         f"{path} holds set bits where a frame of {show_size((layout.width, height))}, which is no whole number of "
         f"bytes, is filled up with zeros to the next byte: check the size."
     )
+
+
+def uncertain_alignment(path: Path, height: int, layout: FlatLayout) -> str | None:
+    """Remark on a short file whose frames may as well follow each other without zero bits between them."""
+    if not layout.aligned or not _both_fit(path, height, layout) or _pace(path, height, layout).regular:
+        return None
+    # The first frame is the same either way, and so are frames without a spike.
+    if not _sampled(path, height, layout)[1:].any():
+        return None
+    return (
+        f"{path.name}: frames of {show_size((layout.width, height))} are taken to be filled up with zero bits to whole "
+        f"bytes, but they may follow each other without, and the content does not tell: write it as .npy, .npz or .h5."
+    )
+
+
+def _both_fit(path: Path, height: int, layout: FlatLayout) -> bool:
+    """Test of a file that is a whole number of frames with the bits that fill up a frame and without: they are zero,
+    and may be so by chance."""
+    bits, length = height * layout.row_bits, path.stat().st_size
+    left = length * 8 % bits
+    if bits % 8 == 0 or left >= 8 or layout.rest(length, height):
+        return False
+    sampled = _sampled(path, height, layout)
+    filling = sampled[:, bits:]
+    if filling.any() or (1 - sampled[:, :bits].mean()) ** filling.size < _CHANCE:
+        return False
+    with path.open("rb") as stream:
+        stream.seek(-1, os.SEEK_END)
+        return stream.read(1)[0] >> (8 - left) == 0
 
 
 def show_size(size: tuple[int, int]) -> str:

@@ -31,8 +31,18 @@ from typing import Any, NamedTuple, SupportsFloat, cast
 import h5py
 import numpy as np
 
+from scsr_opt._files import as_path
+from scsr_opt._validation import flag, whole
 from scsr_opt.camera.axes import FIRST, LAST, time_axis
-from scsr_opt.camera.flat import better_layout, contradicted_size, find_layout, find_size, parse_size, show_size
+from scsr_opt.camera.flat import (
+    better_layout,
+    contradicted_size,
+    find_layout,
+    find_size,
+    parse_size,
+    show_size,
+    uncertain_alignment,
+)
 from scsr_opt.camera.flat_content import remark
 from scsr_opt.camera.magic import HDF5, NPY, ZIP, kind_of
 from scsr_opt.camera.plausibility import axis_regularity
@@ -49,7 +59,7 @@ from scsr_opt.camera.sources import (
     hdf5_fault,
 )
 from scsr_opt.camera.writing import write_recording
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 __all__ = ["parse_size", "read_recording", "write_recording"]
 
@@ -115,7 +125,7 @@ def read_recording(
     does not fit, it is not certain which axis is time, or it holds other values than 0 and 1 (in a mapped file: in its
     first frame; in later ones when they are read).
     """
-    file = Path(path)
+    file = as_path(path)
     if file.is_dir():
         raise InputError(f"{file} is a folder, not a recording: name one file in it.")
     reader = _by_ending(file)
@@ -124,6 +134,10 @@ def read_recording(
     if file.stat().st_size == 0:
         raise InputError(f"{file} is empty (0 bytes): record or copy it again.")
     ending = file.suffix.lower()
+    flip = None if flip is None else flag(flip, "flip")
+    row_bits = None if row_bits is None else whole(row_bits, "row_bits", 1)
+    if not isinstance(key, str | None):
+        raise InputError(f"key is {shown(key)}, but it must be the name of an array in the file.")
     if row_bits is not None and ending != ".dat":
         raise InputError(
             f"row_bits={row_bits} was given for {file.name}, but only flat .dat files have it: leave it out."
@@ -161,9 +175,9 @@ def _read_flat(request: _Request) -> _Read:
             f"are dropped; if the picture looks sheared, the size is another one.",
             stacklevel=3,
         )
-    contradicted = contradicted_size(path, size)
-    if contradicted:
-        warnings.warn(contradicted, stacklevel=3)
+    for doubt in (contradicted_size(path, size), uncertain_alignment(path, height, layout)):
+        if doubt:
+            warnings.warn(doubt, stacklevel=3)
     flipped = request.flip is None or bool(request.flip)
     source = FlatSource(path, (frames, height, width), layout, flipped)
     amiss = remark(source)
@@ -176,7 +190,7 @@ def _read_npy(request: _Request) -> _Read:
     path = request.path
     stored = _open_npy(path)
     shape = checked_shape(stored.shape, path.name)
-    _check_type(stored.dtype, path.name)
+    as_spikes(np.asarray(stored[:1]), path.name)  # intensities have no axis of time to be asked for
     last = time_axis(stored, path.name, size=request.size, convention=FIRST) == LAST
     source = NpySource(path, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
@@ -209,10 +223,16 @@ def _read_npz(request: _Request) -> _Read:
     if frames is not None:
         array = _unpacked(array, frames, where)
     array = as_spikes(array, where)
-    if time_axis(array, where, size=request.size, convention=None if key == "arr_0" else FIRST) == LAST:
+    convention = None if key == "arr_0" else FIRST
+    if time_axis(array, where, size=request.size, convention=convention, written=_written(extras)) == LAST:
         array = np.moveaxis(array, -1, 0)
     upright = array[:, ::-1] if request.flip else array
     return ArraySource.of(upright), bool(request.flip), extras
+
+
+def _written(extras: dict[str, Any]) -> bool:
+    """Test of a file by `write_recording`, which stores both rates with the spikes."""
+    return all(name in extras for name in _RATES)
 
 
 def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:
@@ -246,29 +266,28 @@ def _read_hdf5(request: _Request) -> _Read:
     path = request.path
     try:
         with h5py.File(path, "r") as file:
-            named, names = (request.key or HDF5_KEY).strip("/"), _dataset_names(file)
-            link = file.get(named, getlink=True) if named in file.keys() and named not in names else None
-            if isinstance(link, (h5py.SoftLink, h5py.ExternalLink)):
-                other = f" of {link.filename}" if isinstance(link, h5py.ExternalLink) else ""
-                raise InputError(
-                    f"{path} holds {named!r} as a link that leads nowhere: there is no {link.path}{other}; put the "
-                    f"file it leads to beside it, or name another dataset by key, on the command line by --array."
-                )
+            named = (request.key or HDF5_KEY).strip("/")
+            names, dead = _dataset_names(file)
+            for name, link in dead.items():
+                if named not in names and (named == name or named.startswith(f"{name}/") or not names):
+                    raise _dead_link(path, name, link)
             key = _find_key(path, request.key and named, names, (HDF5_KEY,))
             dataset = cast(h5py.Dataset, file[key])
             where = f"{path.name}, dataset {key!r},"
             shape = checked_shape(tuple(dataset.shape or ()), where)
             _check_type(dataset.dtype, where)
             _check_parts(path, dataset)
+            as_spikes(np.asarray(dataset[:1]), where)  # intensities have no axis of time to be asked for
             attributes = {**file.attrs, **dataset.attrs}
             extras = {name: _scalar(np.asarray(attributes[name])) for name in _RATES if name in attributes}
             if _MASK in file:
                 extras[_MASK] = np.asarray(file[_MASK])
-            last = time_axis(dataset, where, size=request.size, convention=FIRST) == LAST
+            axis = time_axis(dataset, where, size=request.size, convention=FIRST, written=_written(extras))
     except InputError:
         raise
     except DAMAGED as error:
         raise hdf5_fault(path, error) or _damaged(path, "HDF5 file", error) from error
+    last = axis == LAST
     source = Hdf5Source(path, key, _time_first(shape, last), bool(request.flip), last)
     source.read(0, 1)
     return source, bool(request.flip), extras
@@ -346,15 +365,17 @@ def _find_key(path: Path, key: str | None, found: list[str], usual: tuple[str, .
     )
 
 
-def _dataset_names(file: h5py.File) -> list[str]:
-    """Paths of all datasets, those behind soft and external links included; what a link does not lead to is none."""
+def _dataset_names(file: h5py.File) -> tuple[list[str], dict[str, Any]]:
+    """Paths of all datasets, those behind soft and external links included; and the links that lead to nothing."""
     names: list[str] = []
+    dead: dict[str, Any] = {}
 
     def walk(group: h5py.Group, above: tuple[h5py.Group, ...], prefix: str) -> None:
         for name in group:
             try:
                 item = group[name]
             except (KeyError, OSError):
+                dead[f"{prefix}{name}"] = group.get(name, getlink=True)
                 continue
             if isinstance(item, h5py.Dataset):
                 names.append(f"{prefix}{name}")
@@ -362,7 +383,25 @@ def _dataset_names(file: h5py.File) -> list[str]:
                 walk(item, (*above, item), f"{prefix}{name}/")
 
     walk(file, (file,), "")
-    return names
+    return names, dead
+
+
+def _dead_link(path: Path, name: str, link: Any) -> InputError:
+    """Why a link cannot be followed: the file that it leads to may be locked or damaged rather than missing."""
+    where = ""
+    if isinstance(link, h5py.ExternalLink):
+        where = f" of {link.filename}"
+        target = next((each for each in (path.parent / link.filename, Path(link.filename)) if each.is_file()), None)
+        if target is not None:
+            try:
+                h5py.File(target, "r").close()
+            except DAMAGED as error:
+                return hdf5_fault(target, error) or _damaged(target, "HDF5 file", error)
+    missing = getattr(link, "path", name)
+    return InputError(
+        f"{path} holds {name!r} as a link that leads nowhere: there is no {missing}{where}; put the file it leads to "
+        f"beside it, or name another dataset by key, on the command line by --array."
+    )
 
 
 def _read_mask(mask: Any) -> Any:

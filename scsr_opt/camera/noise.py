@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
 from scsr_opt.camera.samples import Samples, spike_intervals
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 
 class Noise(eqx.Module):
@@ -42,10 +42,12 @@ class Noise(eqx.Module):
 
     def __check_init__(self):
         if not (isinstance(self.photons, Real) and self.photons > 0):
-            raise InputError(f"photons is {self.photons!r}, but it must be above 0, in photons per frame of white.")
+            raise InputError(
+                f"photons is {shown(self.photons)}, but it must be above 0, in photons per frame of white."
+            )
         for name in ("fixed_pattern", "dark_rate"):
             if not (isinstance(getattr(self, name), Real) and 0 <= getattr(self, name) < math.inf):
-                raise InputError(f"{name} is {getattr(self, name)!r}, but it must be a finite number, 0 or more.")
+                raise InputError(f"{name} is {shown(getattr(self, name))}, but it must be a finite number, 0 or more.")
 
     def variance(
         self, duration: Float[np.ndarray | Array, "..."] | float, level: Float[np.ndarray | Array, "..."] | float

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Shaped, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 
 PIECES_FRAMES = (8, 16, 32)
 """Frames of a piece of a line. Two spikes of a dark pixel need a long one, and light that changes a short one."""
@@ -46,6 +46,15 @@ LEAST_DEVIATIONS = 10.0
 """Limit of the correlation for small sensors, in standard deviations of the correlation of unrelated pixels."""
 DISAGREEMENT = 0.4
 """Fraction of the correlation of the right rows below which rows do not belong together: wrong ones are below 0.1."""
+
+LEAST_DROP = 0.02
+"""Correlation that is lost at least from one row to the next where rows lie beside each other: 0.05 to 0.1 in the
+recordings. Where every row is the same, it is not known how many lie beside each other."""
+
+ACROSS_BELOW, CROSSED_OVER = 0.2, 0.9
+"""Covariance of neighbours in two bytes below which bytes hold their pixels in the other order, and by how much that of
+the pixels which it makes neighbours is above it, as fractions of that of neighbours in a byte: 0.6 to 0.9 and below 0
+in the recordings, below -0.9 and above 1.1 where each of their bytes is turned round."""
 
 
 class Regularity(NamedTuple):
@@ -142,10 +151,7 @@ def row_agreement(rates: Shaped[np.ndarray, "n"], widths: Iterable[int]) -> dict
     - `rates`: spikes of the pixels of a frame or a part of it, row after row, whatever their width is.
     - `widths`: each at most a quarter of them; the others are left out.
     """
-    values = rates.astype(float)
-    half = SMOOTHED_PIXELS // 2
-    sums = np.cumsum(np.pad(values, (half + 1, half), mode="edge"))
-    values -= (sums[SMOOTHED_PIXELS:] - sums[:-SMOOTHED_PIXELS]) / SMOOTHED_PIXELS
+    values = _fine(rates)
     energy = float((values * values).sum())
 
     def correlation(lag: int) -> float:
@@ -156,6 +162,56 @@ def row_agreement(rates: Shaped[np.ndarray, "n"], widths: Iterable[int]) -> dict
         for width in widths
         if 4 * width <= len(values)
     }
+
+
+def narrower_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[int]) -> int | None:
+    """The one of some `others` of which each row of `width` pixels holds several rows, beside each other.
+
+    They correlate less and less the further apart they are, and those in one row of `width` as much as the last of it
+    and the first of the next. (A picture that repeats along its rows has parts of one row that correlate more.)
+
+    **Arguments:** `rates`: spikes of the pixels of some whole rows of `width`.
+    """
+    values = _fine(rates)
+    values = values[: len(values) // width * width]
+    variance = float((values * values).mean()) if len(values) else 0.0
+    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / max(len(values), 1) ** 0.5)
+    for other in sorted(others, reverse=True):
+        if width % other or other == width or 8 * width > len(values) or not variance:
+            continue
+        one, two, three, four = (
+            float((values[lag:] * values[:-lag]).mean()) / variance for lag in other * np.arange(1, 5)
+        )
+        products = np.append(values[other:] * values[:-other], np.zeros(other)).reshape(-1, width // other, other)
+        apart = products[:-1].mean(axis=(0, 2)) / variance
+        if one >= least and min(one - two, two - three, three - four) > LEAST_DROP and two >= one / 2:
+            if np.ptp(apart) < (one - two) / 2:
+                return other
+    return None
+
+
+def bits_reversed(rates: Shaped[np.ndarray, "n"]) -> bool:
+    """Test of pixels that are stored with the first of eight in the highest bit: within a byte neighbours agree, across
+    bytes the last and the first of eight do not, but those that the other order puts there do.
+
+    **Arguments:** `rates`: spikes of the pixels in the order of the file, beginning on a whole byte.
+    """
+    values = _fine(rates[: len(rates) // 8 * 8]).reshape(-1, 8)
+    if len(values) < 2:
+        return False
+    variance = float((values * values).mean())
+    inside = float((values[:, 1:] * values[:, :-1]).mean())
+    across, crossed = float((values[1:, 0] * values[:-1, 7]).mean()), float((values[1:, 7] * values[:-1, 0]).mean())
+    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / values.size**0.5) * variance
+    return inside > least and across < ACROSS_BELOW * inside and crossed - across > CROSSED_OVER * inside
+
+
+def _fine(rates: Shaped[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Rates without their mean over some pixels of a row."""
+    values = rates.astype(float)
+    half = SMOOTHED_PIXELS // 2
+    sums = np.cumsum(np.pad(values, (half + 1, half), mode="edge"))
+    return values - (sums[SMOOTHED_PIXELS:] - sums[:-SMOOTHED_PIXELS]) / SMOOTHED_PIXELS
 
 
 def better_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[int]) -> int | None:

@@ -18,7 +18,7 @@ from jaxtyping import Bool, UInt8
 from scsr_opt._arrays import as_array
 from scsr_opt.camera.plausibility import axis_regularity, contradiction
 from scsr_opt.camera.sources import ArraySource, CroppedSource, SpikeSource, as_spikes, checked_shape
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 READOUT_RATE = 40_000.0
 """Spike frames per second, where nothing else is known."""
@@ -225,7 +225,7 @@ def _between(value: Any, name: str, least: float, most: float, unit: str) -> flo
     except (TypeError, ValueError):
         number = math.nan
     if not least <= number <= most:
-        raise InputError(f"{name} is {value!r}, but it must be a number from {least:g} to {most:g}, {unit}.")
+        raise InputError(f"{name} is {shown(value)}, but it must be a number from {least:g} to {most:g}, {unit}.")
     return number
 
 
@@ -234,7 +234,7 @@ def _index(value: Any, name: str, counted: str = "frames") -> int:
         return operator.index(value)
     except TypeError:
         raise InputError(
-            f"{name} is {value!r}, but {counted} are counted in whole numbers, the first one is 0."
+            f"{name} is {shown(value)}, but {counted} are counted in whole numbers, the first one is 0."
         ) from None
 
 

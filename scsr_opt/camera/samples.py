@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from scsr_opt._arrays import as_array
 from scsr_opt._threads import in_threads
 from scsr_opt.camera.spike_times import SpikeTimes
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 END_WEIGHT = 0.1
 """Weight of the time before a pixel's first and after its last spike, beside that of as long an interval (measured)."""
@@ -125,7 +125,9 @@ def spike_intervals(
     **Raises:** `InputError` if `ends` is not from 0 to 1.
     """
     if not 0 <= ends <= 1:
-        raise InputError(f"ends is {ends!r}, but it must be a number from 0 (left out) to 1 (as good as intervals).")
+        raise InputError(
+            f"ends is {shown(ends)}, but it must be a number from 0 (left out) to 1 (as good as intervals)."
+        )
     spikes = as_array(spikes, "The array of spikes")
     frames, height, width = spikes.shape
     good = np.ones(height * width, bool) if bad_pixels is None else ~as_array(bad_pixels, "bad_pixels").reshape(-1)

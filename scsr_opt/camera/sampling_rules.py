@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int, Shaped
 from scsr_opt._validation import check_type
 from scsr_opt.camera.noise import Noise
 from scsr_opt.camera.samples import END_WEIGHT, RUN_FRAMES, Samples, spike_intervals, windows
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 
 class SamplingRule(eqx.Module):
@@ -50,7 +50,7 @@ class Intervals(SamplingRule):
 
     def __check_init__(self):
         if not (isinstance(self.ends, Real) and 0 <= self.ends <= 1):
-            raise InputError(f"Intervals was given ends={self.ends!r}; it is a weight from 0 to 1.")
+            raise InputError(f"Intervals was given ends={shown(self.ends)}; it is a weight from 0 to 1.")
         check_type(self.noise, Noise, "noise", "Noise(photons=100.0)")
 
     def __call__(
@@ -82,7 +82,7 @@ class Windows(SamplingRule):
 
     def __check_init__(self):
         if not (isinstance(self.length, Integral) and self.length >= 1):
-            found = f"Windows was given a length of {self.length!r}"
+            found = f"Windows was given a length of {shown(self.length)}"
             raise InputError(f"{found}; it is a whole number of frames, 1 or more.")
 
     def __call__(

@@ -22,7 +22,7 @@ from scipy.linalg import expm
 
 from scsr_opt._validation import number
 from scsr_opt.camera.pictures import Picture, as_intensity
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 KEY_FRAME = 50.0
 """Key time where none is given: the middle of the simulator's 101 frames."""
@@ -222,7 +222,7 @@ class _Layered(Scene):
         self._picture = Picture(picture)
         if not callable(getattr(shape, "coverage", None)):
             raise InputError(
-                f"shape is {shape!r}, but it must be an Ellipse or a Box (anything with coverage(rows, columns))."
+                f"shape is {shown(shape)}, but it must be an Ellipse or a Box (anything with coverage(rows, columns))."
             )
         self._shape = shape
         self.size = self._background.size
@@ -373,7 +373,7 @@ def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
         first = second = math.nan
     if not (abs(first) <= _MOST_COORDINATE and abs(second) <= _MOST_COORDINATE):
         raise InputError(
-            f"{name} is {value!r}, but it must be two finite numbers (rows, columns), in {unit}, of "
+            f"{name} is {shown(value)}, but it must be two finite numbers (rows, columns), in {unit}, of "
             f"{_MOST_COORDINATE:.3g} at most either way."
         )
     return (first, second)

@@ -25,7 +25,7 @@ from skimage.registration import optical_flow_tvl1
 
 from scsr_opt.camera.pictures import as_intensity
 from scsr_opt.camera.scenes import Scene
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 _ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"}
 
@@ -61,8 +61,8 @@ class Video(Scene):
             self._spacing = np.nan
         if not 1 <= self._spacing < np.inf:
             raise InputError(
-                f"readouts_per_frame is {readouts_per_frame!r}, but it must be a number of at least 1: how many spike "
-                f"frames are read out from one video frame to the next."
+                f"readouts_per_frame is {shown(readouts_per_frame)}, but it must be a number of at least 1: how many "
+                f"spike frames are read out from one video frame to the next."
             )
         self._source: Sequence[Any] = _files(Path(frames)) if isinstance(frames, str | Path) else frames
         if len(self._source) < 2:

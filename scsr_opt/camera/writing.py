@@ -17,7 +17,8 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
-from scsr_opt._files import check_writable, read_meanwhile, whole_file
+from scsr_opt._files import as_path, check_writable, read_meanwhile, whole_file
+from scsr_opt._validation import flag, whole
 from scsr_opt.camera.flat import known_sizes, row_layout, show_size
 from scsr_opt.camera.recording import Recording, checked_settings
 from scsr_opt.camera.sources import FlatLayout, pack
@@ -58,7 +59,9 @@ def write_recording(
     **Raises:** `InputError` if the ending is not known, the file cannot be written, the recording is not one, or `path`
     is a `.dat` that would be read back with another size.
     """
-    file = Path(path)
+    file = as_path(path)
+    flip = None if flip is None else flag(flip, "flip")
+    row_bits = None if row_bits is None else whole(row_bits, "row_bits", 1)
     ending = file.suffix.lower()
     if ending not in ENDINGS:
         raise InputError(

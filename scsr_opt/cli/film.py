@@ -105,9 +105,11 @@ def film(
         return 1
     if not quiet:
         each = (time.perf_counter() - begin) / count
+        shown = "1 picture" if count == 1 else f"{count} pictures"
+        times = "once" if len(made.anew) == 1 else f"{len(made.anew)} times"
         print(
-            f"{output}: {count} pictures of frames {keys[0]} to {keys[-1]}, every {keys.step}; {each:.2g} s each.\n"
-            f"Motion was estimated {len(made.anew)} times, at {_listed(made.anew)}, and carried on between."
+            f"{output}: {shown} of frames {keys[0]} to {keys[-1]}, every {keys.step}; {each:.2g} s each.\n"
+            f"Motion was estimated {times}, at {_listed(made.anew)}, and carried on between."
         )
     return 0
 

@@ -57,7 +57,8 @@ class Reading:
     size: Annotated[
         str | None,
         Parameter(
-            help="WIDTHxHEIGHT of the sensor in pixels, such as 400x250; only .dat files need it, if not in their name."
+            help="WIDTHxHEIGHT of the sensor in pixels, such as 400x250. Needed for a .dat file whose name or "
+            "config.yaml does not hold it, and for an array of which it is not certain which axis is time."
         ),
     ] = None
     flip: Annotated[
@@ -67,7 +68,11 @@ class Reading:
         ),
     ] = None
     row_bits: Annotated[
-        Whole | None, Parameter(help="Bits per row of a .dat file with padded rows, such as 416. Default: found out.")
+        Whole | None,
+        Parameter(
+            help="Bits per row of a .dat file in which some are no pixels, such as 416 for 400 columns. Default: found "
+            "by the file's length and content."
+        ),
     ] = None
     array: Annotated[
         str | None, Parameter(help="Name of the array that holds the spikes in an .npz or HDF5 file, if it is unusual.")

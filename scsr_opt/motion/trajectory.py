@@ -6,6 +6,7 @@ needs the q with q + d(q, τ) = p. That inverse is computed at moments `SPACING`
 them: at 40,000 frames a second nothing moves far in four frames.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.inversion import (
     ROUNDING,
     affine_field,
@@ -130,8 +131,16 @@ class Motion(eqx.Module):
 
         **Arguments:** `velocity`: two numbers (down, right), sensor pixels per frame. `shape`: (h, w) of the sensor.
 
-        **Raises:** `InputError` unless there are two finite numbers.
+        **Raises:** `InputError` unless there are two finite numbers, and two whole ones of at least 1.
         """
+        try:
+            height, width = map(operator.index, shape)
+        except (TypeError, ValueError):
+            height = width = 0
+        if min(height, width) < 1:
+            raise InputError(
+                f"shape is {shown(shape)}; it must be (rows, columns) of the sensor, two whole numbers of at least 1."
+            )
         try:
             with np.errstate(over="ignore"):  # becomes infinite, and is refused as such
                 pair = as_array(velocity, "velocity").astype(np.float32)
@@ -139,9 +148,10 @@ class Motion(eqx.Module):
             pair = np.zeros(0, np.float32)
         if pair.shape != (2,) or not np.isfinite(pair).all():
             raise InputError(
-                f"velocity is {velocity!r}; it must be two finite numbers (down, right) in sensor pixels per frame."
+                f"velocity is {shown(velocity)}; it must be two finite numbers (down, right) in sensor pixels per "
+                f"frame."
             )
-        return cls.of_velocity(np.broadcast_to(pair[:, None, None], (2, *shape)).copy())
+        return cls.of_velocity(np.broadcast_to(pair[:, None, None], (2, height, width)).copy())
 
     @classmethod
     def none(cls, height: int, width: int) -> "Motion":

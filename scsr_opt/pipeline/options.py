@@ -11,10 +11,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array, own
-from scsr_opt._validation import check_type, flag, pixel_gain, prior_strength, rectangle, whole
+from scsr_opt._validation import check_type, flag, picture_shape, pixel_gain, prior_strength, rectangle, whole
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, checked_white_rate
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.motion.validation import validate_motion
@@ -160,12 +160,13 @@ class Options:
             motion = validate_motion(motion, height, width)
         elif not isinstance(motion, Estimator | None):
             raise InputError(
-                f"motion is {self.motion!r}; it must be a Motion, such as Motion.constant((0.1, 0.2), ({height}, "
+                f"motion is {shown(self.motion)}; it must be a Motion, such as Motion.constant((0.1, 0.2), ({height}, "
                 f"{width})) or Motion.of_velocity(array), or an Estimator such as Global()."
             )
         strength = None if self.strength is None else prior_strength(self.strength)
         if strength is None:
             relative_strength(prior)  # a prior without one is refused before anything is computed
+        prior.check(picture_shape((height, width), scale))
         return dataclasses.replace(
             self,
             samples=Intervals() if self.samples is None else self.samples,

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.estimators.evidence import contradicted
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.estimators.layered import relabelled
@@ -90,7 +90,7 @@ def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
     """The key frames as ints. **Raises:** `InputError` if one is no frame of the recording, or there is none."""
     frames = None if isinstance(keys, str | bytes) or not isinstance(keys, Iterable) else tuple(keys)
     if not frames:
-        raise InputError(f"keys is {keys!r}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
+        raise InputError(f"keys is {shown(keys)}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     return tuple(whole(key, f"keys[{number}]", 0, recording.frames - 1) for number, key in enumerate(frames))
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt._kernels.programs import ready
-from scsr_opt._validation import picture_shape, whole
+from scsr_opt._validation import whole
 from scsr_opt.calibration.gain_network import gain_at_rest
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import Intervals
@@ -168,6 +168,5 @@ def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIn
     scale = whole(scale, "scale", 1)
     options = options.validated(recording, scale)
     part = recording if options.crop is None else recording.crop(*options.crop)
-    picture_shape((part.height, part.width), scale)  # refuses pictures that do not fit into memory
     clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels)
     return Task(recording, scale, options, clip, time.perf_counter() - began)

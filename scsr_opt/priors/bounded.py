@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import iteration_count
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.prior import Prior
 
@@ -70,8 +70,8 @@ class Bounded(Prior[BoundedState]):
             between = np.float32(least) < np.float32(most)  # what pictures are made of
         if not between:
             raise InputError(
-                f"Bounded was given lower={lower!r} and upper={upper!r}; the lower bound has to be a number below the "
-                f"upper one, so much that they differ in single precision."
+                f"Bounded was given lower={shown(lower)} and upper={shown(upper)}; the lower bound has to be a number "
+                f"below the upper one, so much that they differ in single precision."
             )
         self.prior = prior
         self.lower, self.upper = least, most
@@ -98,6 +98,9 @@ class Bounded(Prior[BoundedState]):
     @property
     def has_prox(self) -> bool:
         return self.prior.has_prox
+
+    def check(self, shape: tuple[int, int]) -> None:
+        self.prior.check(shape)
 
     def with_inner_iterations(self, iterations: int) -> "Bounded":
         return dataclasses.replace(self, prior=self.prior.with_inner_iterations(iterations))

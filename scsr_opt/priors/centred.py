@@ -72,6 +72,9 @@ class Centred(Prior[Any]):
     def has_prox(self) -> bool:
         return self.prior.has_prox
 
+    def check(self, shape: tuple[int, int]) -> None:
+        self.prior.check(shape)
+
     def initial_state(self, image: Float[Array, "H W"]) -> Any:
         """State of Ψ, at image − C."""
         return self.prior.initial_state(self._apart(image))

@@ -41,18 +41,47 @@ class NumpyDenoiser(eqx.Module):
     def __call__(self, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
         def on_host(words: Array, of_sigma: Array) -> np.ndarray:
             picture, level = _numbers(words, image.dtype), _numbers(of_sigma, sigma.dtype)
-            found = np.asarray(self.function(picture, float(level)))
-            if found.shape == np.squeeze(picture).shape:
-                found = found.reshape(picture.shape)
-            if found.shape != picture.shape or found.dtype.kind != "f":
-                raise InputError(_no_picture(f"{found.dtype} of shape {found.shape}", picture.shape))
-            result = np.ascontiguousarray(found, dtype=image.dtype)
+            result = np.ascontiguousarray(self.on_numpy(picture, float(level)), dtype=image.dtype)
             return result[..., None].view(np.uint32) if result.dtype == np.float64 else result
 
         words = _words(image)
         like = jax.ShapeDtypeStruct(words.shape, words.dtype)
         denoised = jax.pure_callback(on_host, like, words, _words(sigma), vmap_method="sequential")
         return jax.lax.bitcast_convert_type(denoised, image.dtype)
+
+    def on_numpy(self, picture: Float[np.ndarray, "H W"], sigma: float) -> Float[np.ndarray, "H W"]:
+        """What the function makes of a picture. **Raises:** `InputError` if it is no picture of this shape."""
+        found = np.asarray(self.function(picture, sigma))
+        if found.shape == np.squeeze(picture).shape:
+            found = found.reshape(picture.shape)
+        if found.shape != picture.shape or found.dtype.kind != "f":
+            raise InputError(_no_picture(f"{found.dtype} of shape {found.shape}", picture.shape))
+        return found
+
+
+def check_denoiser(denoiser: Denoiser, shape: tuple[int, int]) -> None:
+    """Tries a denoiser before a solve: a function of NumPy on a grey picture, one in JAX on shapes alone.
+
+    **Raises:** `InputError` if it cannot be called, raises an error, or gives no picture of this shape.
+    """
+    image, sigma = jax.ShapeDtypeStruct(shape, np.float32), jax.ShapeDtypeStruct((), np.float32)
+    try:
+        if isinstance(denoiser, NumpyDenoiser):
+            denoiser.on_numpy(np.full(shape, 0.5, np.float32), 0.1)
+        else:
+            jax.eval_shape(functools.partial(denoised, denoiser), image, sigma)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a function of the user raises
+        raise InputError(
+            f"The denoiser raised {type(error).__name__} for a picture of shape {shape} ({_reason(error)}); it must be "
+            f"callable as denoiser(image, sigma) and give a float array of that shape."
+        ) from error
+
+
+def _reason(error: Exception) -> str:
+    """First line of what an error says."""
+    return str(error).strip().split("\n")[0].rstrip(".")
 
 
 def denoised(denoiser: Denoiser, image: Float[Array, "H W"], sigma: Float[Array, ""]) -> Float[Array, "H W"]:
@@ -63,10 +92,9 @@ def denoised(denoiser: Denoiser, image: Float[Array, "H W"], sigma: Float[Array,
     try:
         result = denoiser(image, sigma)
     except TypeError as error:  # those of JAX for what it cannot trace are among them
-        reason = str(error).strip().split("\n")[0].rstrip(".")
         raise InputError(
-            f"The denoiser cannot be called as denoiser(image, sigma) with arrays of JAX ({reason}); a function of "
-            "NumPy arrays has to be wrapped: NumpyDenoiser(function)."
+            f"The denoiser cannot be called as denoiser(image, sigma) with arrays of JAX ({_reason(error)}); a "
+            "function of NumPy arrays has to be wrapped: NumpyDenoiser(function)."
         ) from error
     shape, dtype = getattr(result, "shape", None), getattr(result, "dtype", None)
     if shape is None or dtype is None:

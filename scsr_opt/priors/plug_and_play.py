@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from scsr_opt.priors.denoisers import Denoiser, denoised
+from scsr_opt.priors.denoisers import Denoiser, check_denoiser, denoised
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.strengths import divisible
 
@@ -25,7 +25,8 @@ class PlugAndPlay(Prior[None]):
     **Fields:** `denoiser`: a callable (image, σ) → image, written in JAX, or a `NumpyDenoiser` of
     `scsr_opt.priors.denoisers`.
 
-    **Errors:** `InputError`, when it is used, for a denoiser that cannot be called so or gives no picture.
+    **Errors:** `InputError` for a denoiser that cannot be called so or gives no picture: from `check`, or when it is
+    used.
     """
 
     denoiser: Denoiser
@@ -38,6 +39,10 @@ class PlugAndPlay(Prior[None]):
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """0: there is none."""
         return jnp.zeros((), image.dtype)
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Tries the denoiser. **Raises:** as `check_denoiser`."""
+        check_denoiser(self.denoiser, shape)
 
     def initial_state(self, image: Float[Array, "H W"]) -> None:
         """Nothing is remembered."""

@@ -68,6 +68,12 @@ class Prior(eqx.Module, Generic[State]):
         """True where there is a proximal step. A smooth prior can do without (`LBFGS`, `NonlinearCG`)."""
         return type(self).prox is not Prior.prox
 
+    def check(self, shape: tuple[int, int]) -> None:
+        """Looks whether the prior can be used with pictures of this shape, before anything is computed.
+
+        **Raises:** `InputError` if not. Priors that call a function of the user try it; all others accept any shape.
+        """
+
     def with_inner_iterations(self, iterations: int) -> "Prior":
         """This prior with at least `iterations` inner iterations of its proximal step, for a step that starts anew and
         not from the state of the last one; itself where the step has none."""

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import iteration_count, positive
-from scsr_opt.priors.denoisers import Denoiser, denoised
+from scsr_opt.priors.denoisers import Denoiser, check_denoiser, denoised
 from scsr_opt.priors.prior import Prior
 
 
@@ -36,8 +36,8 @@ class RED(Prior[Array]):
     - `sigma`: σ > 0, in the picture's unit; Romano et al. take 0.01 to 0.02.
     - `iterations`: in each proximal step, ≥ 1.
 
-    **Errors:** `InputError` for a σ that is not positive and finite, or fewer than one iteration; when it is used,
-    for a denoiser that cannot be called so or gives no picture.
+    **Errors:** `InputError` for a σ that is not positive and finite, or fewer than one iteration; from `check`, or when
+    it is used, for a denoiser that cannot be called so or gives no picture.
     """
 
     denoiser: Denoiser
@@ -60,6 +60,10 @@ class RED(Prior[Array]):
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:
         """½ ⟨image, image − D(image)⟩."""
         return jnp.sum(image * (image - self._denoised(image))) / 2
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Tries the denoiser. **Raises:** as `check_denoiser`."""
+        check_denoiser(self.denoiser, shape)
 
     def initial_state(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """The image: where the fixed-point iteration starts."""

@@ -23,8 +23,9 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
-from scsr_opt._files import read_meanwhile, whole_file
-from scsr_opt.errors import InputError
+from scsr_opt._files import as_path, read_meanwhile, whole_file
+from scsr_opt._validation import finite
+from scsr_opt.errors import InputError, shown
 
 PICTURE_BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".npz": (32,)}
 """Endings of still pictures with the bits per pixel that each can have, the default first; 32 is floating point."""
@@ -57,19 +58,19 @@ class PictureFormat:
 
         **Raises:** `InputError` if the ending is not known or cannot have these bits, or gamma is not from 0.1 to 10.
         """
-        ending = Path(path).suffix.lower()
+        ending = as_path(path).suffix.lower()
         if ending not in PICTURE_BITS:
             raise InputError(
                 f"Cannot tell the format of {path}: its ending is {ending or 'missing'!r}, but pictures end in "
                 f"{', '.join(PICTURE_BITS)}."
             )
         allowed = PICTURE_BITS[ending]
-        if bits is not None and bits not in allowed:
+        if bits is not None and finite(bits) not in allowed:
             raise InputError(
-                f"{bits} bits per pixel cannot be stored in {ending}: choose "
+                f"{shown(bits)} bits per pixel cannot be stored in {ending}: choose "
                 f"{' or '.join(map(str, sorted(allowed)))}, or another ending."
             )
-        chosen = allowed[0] if bits is None else bits
+        chosen = allowed[0] if bits is None else int(bits)
         _check_gamma(gamma)
         if chosen == 32 and gamma != 1.0:
             raise InputError(f"gamma is {gamma:g}, but 32-bit pictures hold linear intensity: leave it at 1.")
@@ -78,9 +79,10 @@ class PictureFormat:
 
 def _check_gamma(gamma: float) -> None:
     least, most = _GAMMAS
-    if not least <= gamma <= most:
+    if not least <= finite(gamma) <= most:
         raise InputError(
-            f"gamma is {gamma}, but it must be from {least:g} to {most:g}: 1 for linear intensity, 2.2 for looking at."
+            f"gamma is {shown(gamma)}, but it must be from {least:g} to {most:g}: 1 for linear intensity, 2.2 for "
+            f"looking at."
         )
 
 
@@ -146,7 +148,7 @@ def load_pixels(path: str | os.PathLike[str]) -> np.ndarray:
 
     **Raises:** `InputError` if there is no such file, or it is not a picture.
     """
-    source = Path(path)
+    source = as_path(path)
     if not source.is_file():
         raise InputError(f"There is no picture {source}: check the path.")
     if source.suffix.lower() == ".npz":
@@ -192,10 +194,11 @@ def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float
     **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder; if the rate is not
     from 0.01 to 1000 pictures per second, or gamma not from 0.1 to 10.
     """
-    if not _RATES[0] <= rate <= _RATES[1]:
-        raise InputError(f"rate is {rate:g}, but it must be from {_RATES[0]:g} to {_RATES[1]:g} pictures per second.")
+    least, most = _RATES
+    if not least <= finite(rate) <= most:
+        raise InputError(f"rate is {shown(rate)}, but it must be from {least:g} to {most:g} pictures per second.")
     _check_gamma(gamma)
-    ending = Path(path).suffix.lower()
+    ending = as_path(path).suffix.lower()
     if ending not in FILM_ENDINGS:
         raise InputError(
             f"Cannot tell the format of {path}: its ending is {ending or 'missing'!r}, but films end in "
@@ -230,6 +233,8 @@ def write_film(
     another size than the first, or the file cannot be written. No file is written then.
     """
     check_film(path, rate=rate, gamma=gamma)
+    if not isinstance(frames, Iterable):
+        raise InputError(f"frames is {shown(frames)}, but a film is made of several pictures: give a list of them.")
     pictures = _Pictures(read_meanwhile(frames), gamma)
     with whole_file(path) as temporary:
         first = next(pictures, None)

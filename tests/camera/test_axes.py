@@ -138,8 +138,51 @@ def test_time_in_the_middle_is_asked_for(tmp_path, name):
 @pytest.mark.parametrize("shape", [(101, 64, 64), (60, 40, 48), (3, 5, 7), (1, 64, 64), (250, 40, 30)])
 def test_time_first_is_read_without_a_question(tmp_path, name, shape):
     """Spikes and bits drawn at random, where nothing speaks against the convention."""
-    for spikes in (_spikes(shape), _noise(shape), np.zeros(shape, np.uint8), np.ones(shape, np.uint8)):
+    for spikes in (_spikes(shape), _noise(shape)):
         np.testing.assert_array_equal(read_recording(_saved(tmp_path, name, spikes)).spikes, spikes)
+
+
+def _few_spikes(shape: tuple[int, int, int]) -> list[np.ndarray]:
+    """Arrays without a spike, without a gap, and with 50 spikes at random."""
+    few = np.zeros(shape, np.uint8)
+    few.reshape(-1)[np.random.default_rng(0).choice(few.size, min(50, few.size // 2), replace=False)] = 1
+    return [np.zeros(shape, np.uint8), np.ones(shape, np.uint8), few]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "shape", [(3, 5, 7), (1, 64, 64), (7, 64, 64), (250, 40, 30), (2905, 64, 64), (20, 250, 250), (12, 9, 7)]
+)
+def test_too_few_spikes_are_read_time_first_where_the_other_reading_is_of_no_sensor(tmp_path, name, shape):
+    for spikes in _few_spikes(shape):
+        np.testing.assert_array_equal(read_recording(_saved(tmp_path, name, spikes)).spikes, spikes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("shape", [(101, 64, 64), (60, 40, 48), (48, 60, 40), (64, 64, 101), (8, 9, 10), (101, 26, 34)])
+def test_too_few_spikes_are_asked_for_where_both_readings_are_of_a_sensor(tmp_path, name, shape):
+    frames, height, width = shape
+    for spikes in _few_spikes(shape):
+        path = _saved(tmp_path, name, spikes)
+        with pytest.raises(InputError, match=rf"tell which: pass size='{width}x{height}' or size='{height}x{frames}'"):
+            read_recording(path)
+        np.testing.assert_array_equal(read_recording(path, size=(width, height)).spikes, spikes)
+        np.testing.assert_array_equal(read_recording(path, size=(height, frames)).spikes, np.moveaxis(spikes, -1, 0))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("white_rate", [0.002, 0.005, 0.01, 0.02])
+@pytest.mark.parametrize("shape", [(101, 30, 24), (41, 64, 64), (64, 48, 48), (12, 40, 40)])
+def test_small_dark_time_last_is_never_read_time_first(tmp_path, name, shape, white_rate):
+    spikes = _spikes(shape, sensor=Sensor(white_rate=white_rate))
+    with pytest.raises(InputError, match="pass size="):
+        read_recording(_saved(tmp_path, name, np.moveaxis(spikes, 0, -1)))
+
+
+@pytest.mark.parametrize("ending", [".npz", ".h5"])
+def test_too_few_spikes_that_write_recording_wrote_are_read_back(tmp_path, ending):
+    for spikes in _few_spikes((60, 40, 48)):
+        np.testing.assert_array_equal(read_recording(write_recording(tmp_path / f"r{ending}", spikes)).spikes, spikes)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -170,6 +213,16 @@ def test_time_first_of_bright_lines_that_pass_is_not_asked_for(width, velocity, 
 def test_a_known_camera_against_the_convention_is_asked_for_where_the_content_does_not_tell(tmp_path, name):
     with pytest.raises(InputError, match=r"pass size='3x400' or size='400x250'"):
         read_recording(_saved(tmp_path, name, np.zeros((250, 400, 3), np.uint8)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("factor", [2, 255, -1])
+def test_values_that_are_no_spikes_are_refused_before_the_axis_is_asked_for(tmp_path, name, factor):
+    array = np.full((60, 40, 48), factor, np.int16)
+    with pytest.raises(
+        InputError, match=rf"holds values from {factor} to {factor}, but a spike frame has only 0 and 1"
+    ):
+        read_recording(_saved(tmp_path, name, array))
 
 
 @pytest.mark.parametrize("axis", [1, 2])

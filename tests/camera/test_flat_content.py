@@ -1,6 +1,7 @@
 """Flat files: layouts found by length and bits, and remarks where bits do not look like spikes of that size."""
 
 import itertools
+import math
 import warnings
 import zlib
 from typing import Any
@@ -133,6 +134,25 @@ def test_frames_packed_with_padding_stay_what_they_are(tmp_path, width, height):
     np.testing.assert_array_equal(_quiet(path, size=(width, height)).spikes, spikes)
 
 
+@pytest.mark.parametrize(("width", "height"), [(33, 31), (31, 33), (15, 9), (9, 7), (63, 33), (101, 3)])
+def test_a_short_file_of_either_packing_is_never_misread_without_a_word(tmp_path, width, height):
+    """Up to seven frames are as long in both packings, and the bits that would fill them up may be zero by chance."""
+    path, told = tmp_path / "r.dat", 0
+    for seed, frames in itertools.product(range(4), range(2, 8)):
+        spikes = simulate(Static(_smooth(height, width, seed=seed)), scale=1, frames=frames, seed=seed).spikes
+        for content in (spikes.reshape(-1), spikes.reshape(frames, -1)):
+            path.write_bytes(np.packbits(content, axis=-1, bitorder="little").tobytes())
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                recording = read_recording(path, size=(width, height), flip=False)
+            if not caught:
+                np.testing.assert_array_equal(recording.spikes, spikes)
+                told += 1
+            else:
+                assert "may follow each other without, and the content does not tell" in str(caught[0].message)
+    assert told > 12
+
+
 def test_frames_of_neither_packing_are_refused(tmp_path):
     (tmp_path / "r.dat").write_bytes(np.random.default_rng(0).bytes(41 * 300 + 7))
     with pytest.raises(InputError, match="holds set bits where a frame of 25x13, .* is filled up with zeros"):
@@ -176,18 +196,67 @@ def test_read_recording_of_no_spikes_is_warned_of(tmp_path, kind, size):
     content = _garbage(kind)
     path = tmp_path / "r.dat"
     path.write_bytes(content[: len(content) // (width * height // 8) * (width * height // 8)])
-    with pytest.warns(UserWarning, match=rf"r\.dat does not look like spikes of {size}: a pixel fires without regard"):
+    why = "(a pixel fires without regard|it consists of records of 8 bytes)"
+    with pytest.warns(UserWarning, match=rf"r\.dat does not look like spikes of {size}: {why}"):
         read_recording(path, size=size)
 
 
+@pytest.mark.parametrize("constant", [0.1, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("length", [7, 9, 11, 13, 14, 18, 21, 26, 28, 33, 36, 60])
+@pytest.mark.parametrize("size", [(64, 48), (400, 250)])
+def test_read_recording_of_records_is_warned_of(tmp_path, size, length, constant):
+    """Constant fields that drift over the sensor by their length are what a moving pattern would be."""
+    rng = np.random.default_rng(length)
+    records = rng.integers(0, 256, (400_000 // length, length), np.uint8)
+    fields = math.ceil(constant * length)
+    records[:, :fields] = rng.integers(1, 256, fields, np.uint8)
+    width, height = size
+    content, frame = records.tobytes(), width * height // 8
+    path = tmp_path / "r.dat"
+    path.write_bytes(content[: len(content) // frame * frame])
+    with pytest.warns(UserWarning, match=rf"of {width}x{height}: it consists of records of {length} bytes"):
+        read_recording(path, size=size)
+
+
+@pytest.mark.parametrize("period", [2, 3, 6, 8, 12, 16])
+@pytest.mark.parametrize("shape", [(60, 40, 48), (60, 41, 24), (60, 13, 26)])
+def test_read_recording_of_saturated_columns_are_no_records(tmp_path, shape, period):
+    """Columns that are always set make the bytes repeat, too: as rows and frames do."""
+    spikes = _spikes(*shape)
+    spikes[:, :, ::period] = 1
+    path = write_recording(tmp_path / "r.dat", spikes)
+    np.testing.assert_array_equal(_quiet(path, size=shape[:0:-1]).spikes, spikes)
+
+
 @pytest.mark.parametrize("name", RECORDINGS)
-@pytest.mark.parametrize("wrong", [(250, 400), (500, 200), (200, 500), (1000, 100), (400, 125), (200, 125)])
+@pytest.mark.parametrize(
+    "wrong", [(250, 400), (500, 200), (200, 500), (1000, 100), (400, 125), (200, 125), (800, 125), (2000, 50)]
+)
 def test_a_wrong_size_of_a_real_recording_is_warned_of_with_the_right_one(tmp_path, shared_data, name, wrong):
     path = tmp_path / "r.dat"
     path.symlink_to(shared_data / "recordings" / name)
     for flip in (True, False):
         with pytest.warns(UserWarning, match=r"does not look like spikes of .*; size 400x250 looks right"):
             read_recording(path, size=wrong, flip=flip)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_bytes_of_a_real_recording_in_the_other_order_are_warned_of(tmp_path, shared_data, name):
+    stored = np.fromfile(shared_data / "recordings" / name, np.uint8)
+    path = tmp_path / "r_400x250.dat"
+    path.write_bytes(np.packbits(np.unpackbits(stored, bitorder="little")).tobytes())
+    with pytest.warns(
+        UserWarning, match=r"the first of eight pixels seems to be in the highest bit.*bitorder='little'"
+    ):
+        read_recording(path)
+
+
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (80, 40), (96, 60), (400, 64)])
+def test_bytes_in_the_other_order_are_warned_of(tmp_path, width, height):
+    path = tmp_path / "r.dat"
+    path.write_bytes(np.packbits(_spikes(40, height, width)).tobytes())
+    with pytest.warns(UserWarning, match="the first of eight pixels seems to be in the highest bit"):
+        read_recording(path, size=(width, height))
 
 
 def test_frames_of_twice_the_height_are_warned_of(tmp_path, shared_data):
@@ -206,6 +275,23 @@ def test_a_size_the_other_way_round_is_warned_of_by_the_rows(tmp_path, width, he
     _quiet(path, size=(width, height))
     with pytest.warns(UserWarning, match=rf"its rows do not agree .*; size {width}x{height} \S* ?looks right"):
         read_recording(path, size=(height, width))
+
+
+@pytest.mark.parametrize("beside", [2, 4])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (80, 40), (96, 60)])
+def test_rows_beside_each_other_are_warned_of(tmp_path, width, height, beside):
+    path = write_recording(tmp_path / "r.dat", _spikes(40, height, width))
+    with pytest.warns(UserWarning, match=rf"its rows do not agree .*; size {width}x{height} \S* ?looks right"):
+        read_recording(path, size=(beside * width, height // beside))
+
+
+@pytest.mark.parametrize("columns", [2, 4])
+@pytest.mark.parametrize("sigma", [1.0, 2.0])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (80, 40), (96, 60)])
+def test_a_picture_that_repeats_along_its_rows_is_not_remarked_on(tmp_path, width, height, sigma, columns):
+    picture = np.tile(_smooth(height, width // columns, sigma), (1, columns))
+    spikes = simulate(Static(picture), scale=1, frames=40).spikes
+    _quiet(write_recording(tmp_path / "r.dat", spikes), size=(width, height))
 
 
 def _scenes(height: int, width: int):

@@ -84,9 +84,9 @@ MISTAKES = {
     "dimensions in h5": (lambda f: read_recording(_h5(f / "r.h5", raw_spike=3)), r"'raw_spike', has 0 dimensions"),
     "intervals": (
         lambda f: read_recording(_h5(f / "r.h5", raw_spike=SPIKES * 9)),
-        r"'raw_spike', frames 0 to 0, holds values from 0 to 9.*spike intervals",
+        r"'raw_spike', holds values from 0 to 9.*spike intervals",
     ),
-    "grey npy": (lambda f: read_recording(_npy(f / "r.npy", SPIKES * 255)), r"r\.npy, frames 0 to 0, .*0 to 255"),
+    "grey npy": (lambda f: read_recording(_npy(f / "r.npy", SPIKES * 255)), r"r\.npy holds values from 0 to 255"),
     "grey npz": (lambda f: read_recording(_npz(f / "r.npz", spk=SPIKES * 255)), r"'spk', holds values from 0 to 255"),
     "floats": (lambda f: read_recording(_npy(f / "r.npy", SPIKES * 1.0)), r"type float64.*bool or integer"),
     "objects": (lambda f: read_recording(_npy(f / "r.npy", np.array([None]))), r"no readable numpy array"),

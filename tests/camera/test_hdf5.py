@@ -101,6 +101,32 @@ def test_read_recording_a_locked_file_is_not_called_damaged(tmp_path):
     np.testing.assert_array_equal(read_recording(path).spikes, SPIKES)
 
 
+@pytest.mark.parametrize(("name", "place"), [("raw_spike", "raw_spike"), ("inside", "/"), ("raw_spike", "/raw_spike")])
+def test_read_recording_an_external_link_into_a_locked_file_is_said(tmp_path, name, place):
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["raw_spike"] = SPIKES
+    with h5py.File(tmp_path / "link.h5", "w") as file:
+        file[name] = h5py.ExternalLink("r.h5", place)
+    code = "import sys, h5py; f = h5py.File(sys.argv[1], 'a'); print('open', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "r.h5")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline() == "open\n"
+        for key in (None, "inside/raw_spike" if name == "inside" else name):
+            with pytest.raises(InputError, match=r"r\.h5 is locked, another program has it open for writing"):
+                read_recording(tmp_path / "link.h5", key=key)
+        assert other.stdin is not None
+        other.stdin.close()
+
+
+def test_read_recording_an_external_link_into_another_kind_of_file_is_said(tmp_path):
+    (tmp_path / "r.h5").write_bytes(b"no HDF5 at all")
+    with h5py.File(tmp_path / "link.h5", "w") as file:
+        file["raw_spike"] = h5py.ExternalLink("r.h5", "raw_spike")
+    with pytest.raises(InputError, match=r"r\.h5 is no readable HDF5 file"):
+        read_recording(tmp_path / "link.h5")
+
+
 def test_read_recording_a_damaged_chunk_is_still_called_so(tmp_path):
     path = tmp_path / "r.h5"
     with h5py.File(path, "w") as file:

@@ -9,7 +9,7 @@ import pytest
 
 import scsr_opt
 from scsr_opt.baselines import tfp_bicubic
-from scsr_opt.camera import read_recording, tfp
+from scsr_opt.camera import read_recording, tfp, write_recording
 from scsr_opt.errors import InputError
 from scsr_opt.operators import Blur
 from scsr_opt.pipeline.solution import Diagnostics, Solution
@@ -156,7 +156,7 @@ def test_a_crop_that_is_none_is_refused_before_the_work(scsr, here, noise, asked
 def test_the_advice_of_the_error_for_a_huge_scale_holds(scsr, monkeypatch, capsys):
     """The recording is dark: there is nothing to iterate, which is said by another exit code."""
     monkeypatch.setattr("scsr_opt._validation._MOST_PIXELS", 500)
-    np.savez("dark.npz", spikes=np.zeros((11, 12, 18), np.uint8))
+    write_recording("dark.npz", np.zeros((11, 12, 18), np.uint8))
     command = ("solve", "dark.npz", "-o", "a.png", "--scale", "2", "--motion", "none")
     assert scsr(*command, code=2).endswith("take a smaller scale, or a crop.\n")
     assert "No picture was written" in scsr(*command, "--crop", "2,3,5,5", code=1)

@@ -36,6 +36,12 @@ def asked(monkeypatch) -> list[dict]:
     return calls
 
 
+def test_film_of_one_picture_is_spoken_of_as_one(scsr, file, asked):
+    said = scsr("film", file, "-o", "a.gif", "--scale", "2", "--start", "4", "--stop", "5").splitlines()
+    assert said[0].startswith("a.gif: 1 picture of frames 4 to 4, ")
+    assert said[1] == "Motion was estimated once, at frame 4, and carried on between."
+
+
 def test_film_is_written_and_says_where_motion_was_found_anew(scsr, file, asked):
     said = scsr("film", file, "-o", "a.gif", "--scale", "2", "--start", "4", "--stop", "12", "--step", "2").splitlines()
     assert said[0].startswith("a.gif: 4 pictures of frames 4 to 10, every 2; ")

@@ -12,7 +12,7 @@ from scsr_opt.camera import Sensor, Windows, read_recording, simulate, tfp
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Motion, Still
-from scsr_opt.priors import Bounded, PlugAndPlay, nl_means
+from scsr_opt.priors import RED, Bounded, NumpyDenoiser, PlugAndPlay, nl_means
 from scsr_opt.report import bicubic
 from scsr_opt.solvers import FISTA
 
@@ -180,6 +180,14 @@ def test_small_sensors_before_which_something_moves(shape):
         ({"strength": np.complex64(1j)}, "it must be a finite number from 0 to 1e+18."),
         ({"prior": PlugAndPlay(nl_means())}, "No strength is given, and that of PlugAndPlay cannot be set from"),
         ({"prior": Bounded(PlugAndPlay(nl_means()))}, "No strength is given, and that of Bounded cannot be set from"),
+        (
+            {"prior": RED(NumpyDenoiser(lambda image, sigma: image[:4]))},
+            "The denoiser gave float32 of shape (4, 18) for a picture of shape (16, 18); it must give a float array",
+        ),
+        (
+            {"prior": Bounded(PlugAndPlay(lambda image, sigma: image > 0)), "strength": 1e-3},
+            "The denoiser gave bool of shape (16, 18) for a picture of shape (16, 18); it must give a float array",
+        ),
         ({"bad_pixels": np.zeros((2, 2), bool)}, "bad_pixels has shape (2, 2), but the sensor has 8 rows"),
         ({"bad_pixels": np.full((8, 9), 2)}, "bad_pixels holds values from 2 to 2"),
         ({"refine": -1}, "refine is -1; it must be a whole number, at least 0."),

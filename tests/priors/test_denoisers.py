@@ -10,7 +10,18 @@ import pytest
 import skimage.restoration
 
 from scsr_opt.errors import InputError
-from scsr_opt.priors import RED, NumpyDenoiser, PlugAndPlay, Prior, TotalVariation, bilateral, nl_means, tv_chambolle
+from scsr_opt.priors import (
+    RED,
+    Bounded,
+    Centred,
+    NumpyDenoiser,
+    PlugAndPlay,
+    Prior,
+    TotalVariation,
+    bilateral,
+    nl_means,
+    tv_chambolle,
+)
 
 SHAPE = (16, 20)
 
@@ -234,3 +245,37 @@ def test_a_denoiser_that_gives_no_picture_is_refused(prior, denoiser, message):
     made = prior(denoiser)
     with pytest.raises(InputError, match=message):
         jax.jit(lambda f: made.prox(f, 0.1, made.initial_state(f))[0])(image)
+
+
+WRONG = [
+    (lambda image, sigma: image[:1], r"gave float32 of shape \(1, 5\) for a picture of shape \(4, 5\)"),
+    (lambda image, sigma: image.T, r"gave float32 of shape \(5, 4\) for a picture"),
+    (lambda image, sigma: image.mean(), r"gave float32 of shape \(\) for a picture"),
+    (lambda image, sigma: image[None], r"gave float32 of shape \(1, 4, 5\) for a picture"),
+    (lambda image, sigma: image > 0, r"gave bool of shape \(4, 5\)"),
+    (lambda image, sigma: image.astype(int), r"gave int\d\d of shape \(4, 5\)"),
+    (lambda image, sigma: image.astype("complex64"), r"gave complex\d+ of shape \(4, 5\)"),
+    (lambda image, sigma: None, "gave (object of shape|NoneType)"),
+    (lambda image, sigma: "picture", "gave (<U7 of shape|str)"),
+    (lambda image, sigma: 1 / 0, r"raised ZeroDivisionError for a picture of shape \(4, 5\) \(division by zero\)"),
+    (lambda image: image, r"(raised TypeError|cannot be called) .*takes 1 positional argument"),
+]
+
+
+@pytest.mark.parametrize("hold", [lambda d: d, NumpyDenoiser], ids=["jax", "numpy"])
+@pytest.mark.parametrize(
+    "wrap",
+    [PlugAndPlay, RED, lambda d: Bounded(PlugAndPlay(d)), lambda d: Centred(RED(d), np.zeros((4, 5), np.float32))],
+    ids=["pnp", "red", "bounded", "centred"],
+)
+@pytest.mark.parametrize(("denoiser", "message"), WRONG)
+def test_check_refuses_a_denoiser_that_gives_no_picture(denoiser, message, wrap, hold):
+    with pytest.raises(InputError, match=message):
+        wrap(hold(denoiser)).check((4, 5))
+
+
+@pytest.mark.parametrize("denoiser", [nl_means(), bilateral(), tv_chambolle(5), smooth, Scaled(jnp.float32(0.5))])
+@pytest.mark.parametrize("shape", [(4, 5), (1, 1), (1, 7), (33, 2)])
+def test_check_accepts_a_denoiser(denoiser, shape):
+    for prior in (PlugAndPlay(denoiser), RED(denoiser), Bounded(PlugAndPlay(denoiser)), TotalVariation()):
+        prior.check(shape)

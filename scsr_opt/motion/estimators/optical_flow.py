@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter, map_coordinates, median_filter
 from skimage.registration import optical_flow_ilk, optical_flow_tvl1
 
+from scsr_opt._validation import whole
 from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
@@ -112,8 +113,8 @@ class ILK(_PlaybackFlow):
     warps: int = 8
 
     def __check_init__(self):
-        _at_least_one("radius", self.radius)
-        _at_least_one("warps", self.warps)
+        whole(self.radius, "radius", 1)
+        whole(self.warps, "warps", 1)
 
     def _flow(self, first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "2 h w"]:
         return optical_flow_ilk(first, second, radius=self.radius, num_warp=self.warps, prefilter=True)
@@ -138,17 +139,11 @@ class TVL1(_PlaybackFlow):
     def __check_init__(self):
         if not 0 < self.attachment < np.inf:
             raise InputError(f"attachment is {self.attachment!r}; it must be a finite number above 0.")
-        _at_least_one("warps", self.warps)
+        whole(self.warps, "warps", 1)
 
     def _flow(self, first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "2 h w"]:
         attachment: Any = self.attachment  # annotated as int by scikit-image, which takes any number
         return optical_flow_tvl1(first, second, attachment=attachment, num_warp=self.warps, prefilter=True)
-
-
-def _at_least_one(name: str, value: Any) -> None:
-    """Raises `InputError` for a value below 1."""
-    if value < 1:
-        raise InputError(f"{name} is {value!r}; it must be a whole number of at least 1.")
 
 
 def _mismatch(first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]) -> float:

@@ -1,0 +1,49 @@
+"""Records of a fixed length in bytes that are no spikes: events, structures of C, tables in binary.
+
+Most records hold bits that are always set: a type, a mark of their beginning, the upper bits of a time. Bytes of a
+recording that are folded at a length that has nothing to do with its rows and frames have none, as each place then
+meets pixels all over the sensor, and few of them fire in every frame. (Bits that are never set do not count: where
+stripes pass over a black background, there are lengths at which some places meet black only.)
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import UInt8
+
+_SAMPLED_BYTES = 1 << 16
+"""Bytes in the middle of a file that are folded."""
+_LONGEST_BYTES = 128
+"""Longest record that is looked for."""
+_LEAST_RECORDS = 256
+"""Records that must agree: a pixel that fires in nine of ten frames is set in as many by chance once in 10^11 times."""
+_LEAST_SET = 1 / 64
+"""Fraction of the bits of a record that are always set, from which on it is one."""
+_OTHER_LENGTHS = 1 / 4
+"""Bits always set at the median length, at most, as a fraction of those at the length of the records: a saturated
+sensor has as many at any length."""
+_EXPLAINED = 1 / 2
+"""Bits always set at a common divisor with the row or the frame, as a fraction, from which on these explain them: they
+are saturated columns or pixels."""
+
+
+def record_length(data: UInt8[np.ndarray, "n"], row_bits: int, frame_bits: int) -> int | None:
+    """Length in bytes of the records that bytes consist of; None if there are none, or rows and frames explain them."""
+    start = max(0, len(data) - _SAMPLED_BYTES) // 2
+    sample = np.asarray(data[start : start + _SAMPLED_BYTES])
+    lengths = range(1, min(_LONGEST_BYTES, len(sample) // _LEAST_RECORDS) + 1)
+    if len(lengths) < 2:
+        return None
+    found = {length: _always_set(sample, length) for length in lengths}
+    best = max(found, key=lambda length: found[length])  # the shortest one of its multiples
+    if found[best] < _LEAST_SET or np.median(list(found.values())) > _OTHER_LENGTHS * found[best]:
+        return None
+    bits = np.unpackbits(sample, bitorder="little")
+    explained = (_always_set(bits, math.gcd(8 * best, period), 1) for period in (row_bits, frame_bits))
+    return None if max(explained) > _EXPLAINED * found[best] else best
+
+
+def _always_set(values: UInt8[np.ndarray, "n"], length: int, bits: int = 8) -> float:
+    """Fraction of the bits that are set in all pieces of `length` values, each of `bits` bits."""
+    pieces = values[: len(values) // length * length].reshape(-1, length)
+    return int(np.bitwise_count(np.bitwise_and.reduce(pieces, axis=0)).sum()) / (length * bits)

@@ -6,23 +6,16 @@ They hold for a whole process, so each test starts one, of a small scene.
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[1]
 _SCENE = """
 import sys
 from pathlib import Path
 
-import numpy as np
-
 import jax
-
-jax.config.update("jax_disable_most_optimizations", True)
-jax.config.update("jax_compilation_cache_dir", str(Path(sys.argv[1]) / ".pytest_cache" / "compiled"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+import numpy as np
 
 rows, columns = np.mgrid[0:12, 0:16]
 charge, spikes = np.random.default_rng(0).random((12, 16)), np.zeros((41, 12, 16), np.uint8)
@@ -60,7 +53,7 @@ for name, options in (("unrolled", {"record": False}), ("spikesr-small", {"recor
     scale = 4 if name == "ridge-centred" else 2
     solution = model(name, scale)(spikes, scale=scale, **options)
     assert solution.image.dtype == np.float32 and solution.status.usable, name
-    np.save(sys.argv[2] + f"/{name}-{jax.config.jax_enable_x64}.npy", solution.image)
+    np.save(sys.argv[1] + f"/{name}-{jax.config.jax_enable_x64}.npy", solution.image)
 """
 _WAVELETS = """
 from scsr_opt import reconstruct
@@ -73,7 +66,7 @@ given = {"scale": 2, "strength": 0.005, "motion": motion, "gain": None, "prior":
 usual = reconstruct(spikes, **given)
 exact = reconstruct(spikes, **given, solver=FISTA(iterations=3000, tolerance=1e-6))
 assert usual.status.name == exact.status.name == "converged"
-np.savez(sys.argv[2] + f"/wavelets-{jax.config.jax_enable_x64}.npz", usual=usual.image, exact=exact.image)
+np.savez(sys.argv[1] + f"/wavelets-{jax.config.jax_enable_x64}.npz", usual=usual.image, exact=exact.image)
 """
 _PLATFORMS = """
 from scsr_opt.baselines import mgsr
@@ -81,7 +74,7 @@ from learned.zoo import model
 from scsr_opt import InputError, reconstruct, reconstruct_sequence
 from scsr_opt.cli import demo_scene as demo
 
-folder = Path(sys.argv[2])
+folder = Path(sys.argv[1])
 doors = [
     lambda: reconstruct(spikes, scale=2),
     lambda: next(reconstruct_sequence(spikes, [20], scale=2)),
@@ -102,7 +95,7 @@ for door in doors:
 
 
 def run(program: str, *arguments: object, **environment: str) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-c", _SCENE + program, str(ROOT), *map(str, arguments)]
+    command = [sys.executable, "-c", _SCENE + program, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=1200, env=os.environ | environment)
 
 

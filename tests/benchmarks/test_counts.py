@@ -13,7 +13,6 @@ import json
 from pathlib import Path
 
 import jax
-import pytest
 
 from benchmarks import counts
 
@@ -26,15 +25,6 @@ COUNTED = ("operations a pixel", "bytes a pixel", "bytes held a pixel", "fusions
 MARGIN = 0.1 if jax.__version__ == RECORDED["jax"] else 0.25
 
 
-@pytest.fixture
-def quickly_compiled():
-    """Quick compilation, for counts that do not depend on how well programs are compiled."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)
-
-
 def test_programs_move_and_calculate_no_more():
     """Less is no failure; but let the file know of it, so that it is kept."""
     counted = counts.programs()
@@ -44,7 +34,7 @@ def test_programs_move_and_calculate_no_more():
             assert 0 < counted[name][what] <= (1 + MARGIN) * recorded[what], f"{name}: {what}, {recorded[what]} before"
 
 
-def test_solvers_need_no_more_iterations(quickly_compiled):
+def test_solvers_need_no_more_iterations():
     counted = counts.iterations()
     assert set(counted) == set(RECORDED["iterations"])
     for solver, recorded in RECORDED["iterations"].items():
@@ -53,7 +43,7 @@ def test_solvers_need_no_more_iterations(quickly_compiled):
             assert counted[solver].get(gap, 10**6) <= most, f"{solver} to a gap of {gap}, {number} before"
 
 
-def test_same_shape_compiles_nothing_again(quickly_compiled):
+def test_same_shape_compiles_nothing_again():
     counted = counts.compilations_again()
     assert counted["first"] > 0 and counted["again"] == 0
     # Another recording may have another of the few lengths that samples are padded to.

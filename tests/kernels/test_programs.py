@@ -19,8 +19,6 @@ from scsr_opt._kernels import programs
 from scsr_opt.operators import Blur, norm_bound
 from scsr_opt.priors import HuberTotalVariation, TotalVariation
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture
 def room(monkeypatch: pytest.MonkeyPatch) -> Any:

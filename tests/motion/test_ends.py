@@ -12,8 +12,6 @@ SIDE, FRAMES, HALFWAY = 40, 121, 60
 # Sensor pixels per frame, and the object's radii in sensor pixels.
 VELOCITY, RADII = np.array([0.1, 0.25]), (10, 8)
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def still(name: str) -> np.ndarray:
     picture = getattr(data, name)() / 255

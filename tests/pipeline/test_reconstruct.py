@@ -18,8 +18,6 @@ from scsr_opt.solvers import FISTA
 
 PICTURE = data.camera()[90:250, 150:310]
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def moving(scale: int, frames: int = 61):
     """160x160 picture pixels that pan by 0.11 and 0.17 sensor pixels per frame, and what is seen of them."""

@@ -22,8 +22,6 @@ PICTURE = data.camera()[90:250, 150:310]
 SCALE = 2
 KEYS = (50, 55, 60, 65)
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def simulated(scene, frames: int = 121):
     return simulate(scene, scale=SCALE, frames=frames, sensor=Sensor(photons=1000.0), seed=3)

@@ -29,8 +29,6 @@ ALL_WORK = Shortcuts.none()
 WALL = data.gravel()[40:200, 60:220] / 255  # 80×80 sensor pixels
 BRICK = data.brick()[:60, :60] / 255
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 class Changing(Scene):
     """A still scene whose light changes: `frame` gives it."""

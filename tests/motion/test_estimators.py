@@ -174,7 +174,7 @@ def test_tiny_pictures(estimator, shape):
 
 
 @pytest.mark.parametrize("estimator", [PhaseCorrelation(), ILK()], ids=name)
-@pytest.mark.parametrize("frames", range(1, 10))
+@pytest.mark.parametrize("frames", [1, 2, 5, 9])
 def test_short_recordings(estimator, frames):
     spikes = np.random.default_rng(0).random((frames, 16, 18)) < 0.3
     for key in {0, frames // 2, frames - 1}:

@@ -26,7 +26,18 @@ def small() -> tuple[Simulation, MotionFrames]:
     return made, stretches(made.spikes, key=KEY)
 
 
-def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, monkeypatch):
+@pytest.fixture(scope="module")
+def usual(small) -> Motion:
+    return Automatic()(small[1])
+
+
+@pytest.fixture(scope="module")
+def everything(small) -> Motion:
+    """With nothing left out."""
+    return Automatic(skip=False)(small[1])
+
+
+def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, everything, monkeypatch):
     made, pictures = small
     looked_at = []
     dense = automatic.dense
@@ -36,13 +47,10 @@ def test_what_moves_before_a_still_wall_is_looked_for_around_it_only(small, monk
         return dense(part, start=start)
 
     monkeypatch.setattr(automatic, "dense", watched)
-    found = Automatic()(pictures)
     monkeypatch.setattr(automatic, "together", lambda pictures: pytest.fail("one motion for all was fitted"))
-    assert Automatic()(pictures).velocity.shape == (2, *SHAPE)
-    monkeypatch.undo()
+    found = Automatic()(pictures)
     assert np.prod(looked_at[0]) < 0.7 * np.prod(SHAPE)
 
-    everything = Automatic(skip=False)(pictures)
     assert found.layers is not None and everything.layers is not None
     label, other = found.layers.label, everything.layers.label
     assert (label != other).mean() < 0.002
@@ -91,10 +99,10 @@ def test_layers_of_a_part_are_continued_with_the_background(kept):
     np.testing.assert_allclose(path.position[0], np.mgrid[0:40, 0:50], atol=1e-5)
 
 
-def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
+def test_layers_that_do_not_serve_leave_it_to_others(small, usual, monkeypatch):
     _, pictures = small
-    layered, good = automatic.layered, Automatic()(pictures)
-    assert good.layers is not None
+    layered = automatic.layered
+    assert usual.layers is not None
 
     def found_by(*, with_good: bool = False, with_scattered: bool = True) -> Motion:
         def candidates(part, before, everywhere, moving, total, *, skip, sparse):
@@ -108,7 +116,7 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
         monkeypatch.setattr(automatic, "layered", candidates)
         return Automatic()(pictures)
 
-    np.testing.assert_array_equal(found_by(with_good=True).velocity, good.velocity)
+    np.testing.assert_array_equal(found_by(with_good=True).velocity, usual.velocity)
     monkeypatch.setattr(automatic, "_PREDICTS", 2.0)  # so that it is no matter of how well the dense estimate predicts
     dense = found_by()
     assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
@@ -117,10 +125,12 @@ def test_layers_that_do_not_serve_leave_it_to_others(small, monkeypatch):
 
 
 @pytest.mark.parametrize("skip", [True, False])
-def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(small, skip, monkeypatch):
+def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(
+    small, usual, everything, skip, monkeypatch
+):
     """What has the dense estimate as one more layer is made then only if nothing is to be skipped, and not chosen."""
     _, pictures = small
-    layered, good, asked = automatic.layered, Automatic(skip=skip)(pictures), []
+    layered, good, asked = automatic.layered, usual if skip else everything, []
     assert good.layers is not None
 
     def with_another(*given, **options):
@@ -142,7 +152,8 @@ def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(s
     assert made == (0 if skip else 1)
     assert first.layers is not None
     np.testing.assert_array_equal(first.layers.label, good.layers.label)
-    assert found(0.0)[1] == 1
+    if skip:
+        assert found(0.0)[1] == 1
 
 
 def test_only_what_accelerates_is_given_an_acceleration(small, monkeypatch):

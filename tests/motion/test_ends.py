@@ -19,8 +19,7 @@ def still(name: str) -> np.ndarray:
     return picture[top : top + 2 * SIDE, left : left + 2 * SIDE]
 
 
-@pytest.mark.parametrize("key", [0, 120])
-@pytest.mark.parametrize("skip", [True, False])
+@pytest.mark.parametrize(("key", "skip"), [(0, True), (120, True), (120, False)])
 def test_an_object_that_comes_or_leaves_is_found_at_the_recordings_end(key, skip):
     """Looked for from there alone it was taken for a part of the background (14.6 for 22 dB at frame 120)."""
     radii = (2 * RADII[0], 2 * RADII[1])

@@ -5,14 +5,17 @@ RUN_STAMP := .venv/.installed
 DEV_STAMP := .venv/.installed-dev
 PYTEST_ARGS ?=
 PYTEST_WORKERS ?= 2
+# What `make test-fast` runs: no test here compiles a whole reconstruction.
+FAST := $(addprefix tests/,camera operators report test_errors.py test_files.py test_validation.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo peers choosing stress bench test test-slow lint format types pytest notebooks picture constraints setup clean distclean
+.PHONY: help demo peers choosing stress bench test test-fast test-slow lint format types pytest notebooks picture constraints setup clean distclean
 
 help:
 	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
-	@echo 'make test        all checks: ruff, pyright, pytest'
-	@echo 'make test-slow   the tests that take longer than half a minute'
+	@echo 'make test        all checks: ruff, import-linter, vulture, pyright, pytest (at most ten minutes)'
+	@echo 'make test-fast   the parts without whole reconstructions (at most a minute and a half)'
+	@echo 'make test-slow   the long tests that make test leaves out'
 	@echo 'make lint        ruff, import-linter, vulture; make format   let ruff mend what it can'
 	@echo 'make types       pyright only         make pytest   tests only (PYTEST_ARGS="-k name")'
 	@echo 'make notebooks   run the notebooks and save them with their pictures'
@@ -54,6 +57,9 @@ types: $(DEV_STAMP)
 
 pytest: $(DEV_STAMP)
 	$(PY) -m pytest -n $(PYTEST_WORKERS) --dist worksteal $(PYTEST_ARGS)
+
+test-fast: $(DEV_STAMP)
+	$(PY) -m pytest -n $(PYTEST_WORKERS) --dist worksteal $(FAST) $(PYTEST_ARGS)
 
 test-slow: $(DEV_STAMP)
 	$(PY) -m pytest -m slow $(PYTEST_ARGS)

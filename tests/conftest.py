@@ -15,6 +15,21 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Compilation is most of the time of most tests. A reconstruction at the default settings (78 programs, 12×16 pixels)
+# took 31.7 core seconds, 17.9 without most optimisations, 9.3 also without XLA's MLIR-based emitters of fused loops,
+# 6.4 also with one module per program, and 3.4 with compiled programs read from the cache, which workers, modules and
+# runs share. These are variables rather than settings of JAX, so that processes that tests start inherit them.
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+os.environ["XLA_FLAGS"] = " ".join(
+    [
+        os.environ.get("XLA_FLAGS", ""),
+        "--xla_cpu_use_fusion_emitters=false",
+        "--xla_cpu_parallel_codegen_split_count=1",
+    ]
+)
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(Path(__file__).parent.parent / ".pytest_cache" / "compiled")
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+
 import hypothesis
 import jax
 import jaxtyping
@@ -22,9 +37,6 @@ import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
-# What one worker has compiled the others read, and the next run, too: compiling is most of the time of most tests.
-jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parent.parent / ".pytest_cache" / "compiled"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 # Has to come before the first import of the packages: modules that are loaded already stay unchecked.
 jaxtyping.install_import_hook(["scsr_opt", "learned"], "beartype.beartype")
 
@@ -59,12 +71,3 @@ def compiled_programs_are_let_go():
     if mappings.exists() and mappings.read_bytes().count(b"\n") > _MANY_MAPPINGS:
         jax.clear_caches()
         gc.collect()
-
-
-@pytest.fixture(scope="module")
-def quick_compilation():
-    """For modules whose pictures are so small that nearly all the time is compilation."""
-    before = jax.config.read("jax_disable_most_optimizations")
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", before)

@@ -12,7 +12,7 @@ from scsr_opt.camera import Sensor, simulate, write_recording
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.scenes import Translation
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("quick_compilation")]
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -40,7 +40,7 @@ TURNS = {
     "upside-down": Turn(lambda a: a[..., ::-1, :].copy(), lambda down, right: (-down, right)),
     "transposed": Turn(lambda a: np.swapaxes(a, -1, -2).copy(), lambda down, right: (right, down)),
 }
-SHAPES = [(1, 1), (1, 9), (2, 2), (3, 5), (12, 11), (16, 16), (24, 32), (31, 40), (40, 48), (64, 64), (70, 101)]
+SHAPES = [(1, 1), (1, 9), (2, 2), (3, 5), (12, 11), (24, 32), (70, 101)]
 
 
 @pytest.fixture(params=TURNS)
@@ -79,7 +79,7 @@ def test_held_out_samples_of_a_turned_sensor_are_turned(turn, shape, moves):
 
 @pytest.mark.parametrize(
     "velocity",
-    [(0.06, 0.08), (0.1, 0.0), (0.0, -0.14), (0.05, 0.05), (-0.07, 0.24), (0.125, 0.25), (0.02, 0.0), (0.0, 0.35)],
+    [(0.06, 0.08), (0.1, 0.0), (0.05, 0.05), (-0.07, 0.24), (0.0, 0.35)],
 )
 def test_measured_positions_of_a_turned_recording_are_turned(turn, velocity):
     """Round velocities, by which an exposure moves by just what asks for more positions."""

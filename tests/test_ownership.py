@@ -26,8 +26,6 @@ from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators import Warp
 from scsr_opt.priors import Centred, TotalVariation
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 KEYS = (14, 18)
 
 
@@ -73,7 +71,7 @@ def arrays_of(value: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(quick_compilation) -> list[Solution]:
+def undisturbed() -> list[Solution]:
     return list(reconstruct_sequence(moving_spikes(), KEYS, scale=2, **options()))
 
 

@@ -24,8 +24,6 @@ from scsr_opt.camera.sampling_rules import Intervals
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.solvers import FISTA, CondatVu, Problem
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def row_of(seconds: list[float], psnr: float, kind: str = "variant") -> dict:
     return {"seconds": [seconds], "psnr": [psnr], "kind": kind}

@@ -29,8 +29,6 @@ TINY = Size(
     frames=(), still=16, sides=(16,), picture=(48, 64), accumulated=(21, 12, 16, 4),
 )  # fmt: skip
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:

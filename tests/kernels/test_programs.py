@@ -19,8 +19,6 @@ from scsr_opt._kernels import programs
 from scsr_opt.operators import Blur, norm_bound
 from scsr_opt.priors import HuberTotalVariation, TotalVariation
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture
 def room(monkeypatch: pytest.MonkeyPatch) -> Any:
@@ -63,15 +61,15 @@ def test_let_go_drops_the_librarys_programs_and_no_others(heard):
     "call",
     [
         lambda shape: HuberTotalVariation().value(jnp.ones(shape)),
-        lambda shape: Blur.gaussian(shape, 1.0)(np.ones(shape, np.float32)),
-        lambda shape: norm_bound(Blur.gaussian(shape, 1.0)),
+        pytest.param(lambda shape: Blur.gaussian(shape, 1.0)(np.ones(shape, np.float32)), marks=pytest.mark.slow),
+        pytest.param(lambda shape: norm_bound(Blur.gaussian(shape, 1.0)), marks=pytest.mark.slow),
         lambda shape: jnp.sum(jnp.ones(shape), axis=0) / 3,
     ],
     ids=["prior", "operator", "norm", "operations of JAX itself"],
 )
 @pytest.mark.skipif(not programs.mappings(), reason="this system does not tell how many mappings there are")
 def test_many_shapes_take_bounded_room(room, monkeypatch, call: Callable[[tuple[int, int]], Any]):
-    """Twenty shapes, of which two fill the room."""
+    """Twelve shapes, of which two fill the room."""
     call((8, 9))
     programs.let_go()
     before = programs.mappings()
@@ -80,7 +78,7 @@ def test_many_shapes_take_bounded_room(room, monkeypatch, call: Callable[[tuple[
     each = (programs.mappings() - before) / 2
     assert each > 0
     monkeypatch.setattr(programs, "_MOST_MAPPINGS", int(2 * each))
-    for n in range(20):
+    for n in range(12):
         programs.ready()
         call((10 + n, 11))
     assert programs.mappings() - before < 6 * each

@@ -25,8 +25,6 @@ from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import Static
 from scsr_opt.solvers import ISTA
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 UNROLLED = {"stages": 2, "boundaries": (10,), "proximal": False}
 STRENGTH = 0.002
 

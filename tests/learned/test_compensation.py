@@ -14,8 +14,6 @@ from learned.training.data import Example
 from learned.training.registry import trainable
 from scsr_opt.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 together = jax.jit(compensated, static_argnames="scale")
 sharpened = eqx.filter_jit(lambda layers, *given: layers(*given))
 

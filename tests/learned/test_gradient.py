@@ -9,8 +9,6 @@ import pytest
 from learned.networks.gradient import GradientModule
 from learned.networks.layers import fold, scale_down, scale_up, unfold
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def tiny(scale: int, working_scale: int) -> GradientModule:
     sizes = {"degradation": 1, "refinement": 1, "groups": 1, "levels": 1}

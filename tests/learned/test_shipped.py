@@ -33,7 +33,7 @@ def test_a_checkpoint_is_what_its_name_says(path):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 12), (2, 3)])
-def test_spikesr_on_a_sensor_smaller_than_its_reach_keeps_the_light(shape, quick_compilation):
+def test_spikesr_on_a_sensor_smaller_than_its_reach_keeps_the_light(shape):
     """The zeros beyond the border made single pixels 17 % too dark, single rows 3 %; means of ten phases."""
     light, net = 0.5, model("spikesr-small", scale=2)
     assert isinstance(net, Network)

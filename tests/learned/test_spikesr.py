@@ -12,8 +12,6 @@ import pytest
 from learned.networks.spikesr import Iterates, SpikeSRConfig, SpikeSRNet, parameter_count, spikesr_loss
 from scsr_opt.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 TINY = SpikeSRConfig.small(
     2,
     blocks=3,

@@ -166,7 +166,7 @@ def test_prepared_examples_that_cannot_be_used(tmp_path, made):
         train(PREPARED, tmp_path / "b")
 
 
-def test_a_killed_run_of_the_unrolled_iteration_goes_on_to_the_same_result(tmp_path, monkeypatch, quick_compilation):
+def test_a_killed_run_of_the_unrolled_iteration_goes_on_to_the_same_result(tmp_path, monkeypatch):
     """With a motion that is known, as compiling its estimate takes longest here."""
     monkeypatch.setattr(validation, "KINDS", ("static",))
     monkeypatch.setattr(inputs, "estimate_motion", lambda spikes, **_: Motion.none(*spikes.shape[1:]))

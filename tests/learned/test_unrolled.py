@@ -30,9 +30,6 @@ SHAPE = (24, 28)
 TINY = UnrolledConfig(SCALE, stages=2, channels=8, blocks=1, boundaries=(4,))
 
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
-
 class Case(NamedTuple):
     clip: Clip
     motion: Motion

@@ -31,9 +31,6 @@ TINY = UnrolledPASEConfig(
 )  # fmt: skip
 
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
-
 @pytest.fixture(scope="module")
 def clip() -> Clip:
     still = data.camera()[100:164, 200:264].astype(np.float32) / 255

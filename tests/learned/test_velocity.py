@@ -23,8 +23,6 @@ from learned.networks.velocity import (
 from learned.training.data import Examples, Pictures, turned_field
 from scsr_opt.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 GRAVEL = Pictures.samples(("gravel",))  # texture everywhere
 enlarged = jax.jit(
     lambda spikes, rate, velocity: compensated(base_moments(spikes, spikes.shape[0] // 2, rate, 13), velocity, 2).mean

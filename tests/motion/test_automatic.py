@@ -27,7 +27,18 @@ def small() -> tuple[Simulation, MotionFrames]:
     return made, motion_frames(made.spikes, key=KEY)
 
 
-def test_object_before_a_still_wall_is_searched_for_around_it_only(small, monkeypatch):
+@pytest.fixture(scope="module")
+def usual(small) -> Motion:
+    return Automatic()(small[1])
+
+
+@pytest.fixture(scope="module")
+def everything(small) -> Motion:
+    """With nothing left out."""
+    return Automatic(simple_motion=False)(small[1])
+
+
+def test_object_before_a_still_wall_is_searched_for_around_it_only(small, everything, monkeypatch):
     made, pictures = small
     searched = []
     dense = automatic.dense
@@ -37,13 +48,10 @@ def test_object_before_a_still_wall_is_searched_for_around_it_only(small, monkey
         return dense(part, **options)
 
     monkeypatch.setattr(automatic, "dense", watched)
-    found = Automatic()(pictures)
     monkeypatch.setattr(automatic, "global_motion", lambda *_, **__: pytest.fail("one motion was fitted to the scene"))
-    assert Automatic()(pictures).velocity.shape == (2, *SHAPE)
-    monkeypatch.undo()
+    found = Automatic()(pictures)
     assert np.prod(searched[0]) < 0.7 * np.prod(SHAPE)
 
-    everything = Automatic(simple_motion=False)(pictures)
     assert found.layers is not None and everything.layers is not None
     label, other = found.layers.label, everything.layers.label
     assert (label != other).mean() < 0.002
@@ -95,10 +103,10 @@ def test_layers_of_a_part_are_continued_with_the_background(kept):
     np.testing.assert_allclose(path.position[0], np.mgrid[0:40, 0:50], atol=1e-5)
 
 
-def test_scattered_layers_are_replaced_by_others(small, monkeypatch):
+def test_scattered_layers_are_replaced_by_others(small, usual, monkeypatch):
     _, pictures = small
-    layered, good = automatic.layered, Automatic()(pictures)
-    assert good.layers is not None
+    layered = automatic.layered
+    assert usual.layers is not None
 
     def found_by(choice: ChoiceSettings, *, with_good: bool = False, with_scattered: bool = True) -> Motion:
         def candidates(part, before, everywhere, moving, total, **options):
@@ -112,7 +120,7 @@ def test_scattered_layers_are_replaced_by_others(small, monkeypatch):
         monkeypatch.setattr(automatic, "layered", candidates)
         return Automatic(settings=MotionSettings(choice=choice))(pictures)
 
-    np.testing.assert_array_equal(found_by(ChoiceSettings(), with_good=True).velocity, good.velocity)
+    np.testing.assert_array_equal(found_by(ChoiceSettings(), with_good=True).velocity, usual.velocity)
     any_residual = ChoiceSettings(prediction_ratio=2.0)  # accepts the dense estimate however well it predicts
     dense = found_by(any_residual)
     assert dense.layers is None and (dense.speed > 0.1).mean() > 0.02  # pixel by pixel
@@ -121,10 +129,12 @@ def test_scattered_layers_are_replaced_by_others(small, monkeypatch):
 
 
 @pytest.mark.parametrize("simple_motion", [True, False])
-def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(small, simple_motion, monkeypatch):
+def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(
+    small, usual, everything, simple_motion, monkeypatch
+):
     """Layers with the dense estimate as one more are then made only without `simple_motion`, and are not chosen."""
     _, pictures = small
-    layered, good, calls = automatic.layered, Automatic(simple_motion=simple_motion)(pictures), []
+    layered, good, calls = automatic.layered, usual if simple_motion else everything, []
     assert good.layers is not None
 
     def with_another(*given, **options):
@@ -146,7 +156,8 @@ def test_layers_that_predict_clearly_better_than_the_dense_estimate_are_enough(s
     assert made == (0 if simple_motion else 1)
     assert first.layers is not None
     np.testing.assert_array_equal(first.layers.label, good.layers.label)
-    assert found(0.0)[1] == 1
+    if simple_motion:
+        assert found(0.0)[1] == 1
 
 
 def test_only_accelerating_surfaces_get_an_acceleration(small, monkeypatch):

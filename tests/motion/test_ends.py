@@ -12,8 +12,6 @@ SIDE, FRAMES, HALFWAY = 40, 121, 60
 # Sensor pixels per frame, and the object's radii in sensor pixels.
 VELOCITY, RADII = np.array([0.1, 0.25]), (10, 8)
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def still(name: str) -> np.ndarray:
     picture = getattr(data, name)() / 255
@@ -21,8 +19,7 @@ def still(name: str) -> np.ndarray:
     return picture[top : top + 2 * SIDE, left : left + 2 * SIDE]
 
 
-@pytest.mark.parametrize("key", [0, 120])
-@pytest.mark.parametrize("simple_motion", [True, False])
+@pytest.mark.parametrize(("key", "simple_motion"), [(0, True), (120, True), (120, False)])
 def test_an_object_that_comes_or_leaves_is_found_at_the_recordings_end(key, simple_motion):
     """Estimated from there alone it was taken for a part of the background (14.6 for 22 dB at frame 120)."""
     radii = (2 * RADII[0], 2 * RADII[1])

@@ -82,7 +82,7 @@ def test_one_motion_is_found_in_dim_light():
 # Thirty sensor pixels over the recording: a comparison of its first with its last picture breaks there. Two of three
 # pixels within 0.02 px per frame (2 px over the recording) or better; flat parts of the picture know less.
 @pytest.mark.parametrize("estimator", [Dense(), ILK(), TVL1()], ids=name)
-@pytest.mark.parametrize("scene", ["translate0.05", "translate0.3", "affine", "object", "disc"])
+@pytest.mark.parametrize("scene", ["translate0.3", "affine", "object", "disc"])
 def test_dense_estimates_hold_up_to_thirty_pixels_of_displacement(estimator, scene, pictures, error):
     motion = estimator(pictures(scene))
     wrong = error(motion.velocity, scene)
@@ -174,7 +174,7 @@ def test_tiny_pictures(estimator, shape):
 
 
 @pytest.mark.parametrize("estimator", [PhaseCorrelation(), ILK()], ids=name)
-@pytest.mark.parametrize("frames", range(1, 10))
+@pytest.mark.parametrize("frames", [1, 2, 5, 9])
 def test_short_recordings(estimator, frames):
     spikes = np.random.default_rng(0).random((frames, 16, 18)) < 0.3
     for key in {0, frames // 2, frames - 1}:
@@ -200,7 +200,7 @@ def test_noise_gives_finite_velocities(estimator, central):
     assert np.isfinite(motion.velocity).all() and np.isfinite(motion.acceleration).all()
 
 
-@pytest.mark.parametrize("key", [0, 10, 90, 100])
+@pytest.mark.parametrize("key", [0, 90])
 def test_a_key_frame_near_an_end(key, recording):
     velocity = estimate_motion(recording("translate0.3").spikes, key=key, estimator=ILK()).velocity
     assert np.abs(np.median(velocity, axis=(1, 2)) - [0.18, -0.24]).max() < 0.02

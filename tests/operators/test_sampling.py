@@ -37,9 +37,6 @@ def double_precision():
         yield
 
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
-
 def random(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=shape)
 

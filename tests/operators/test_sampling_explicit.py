@@ -10,8 +10,6 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.trajectory import Motion, trajectory_of
 from scsr_opt.operators import Aperture, Blur, Downsample, Observation, PlacedSamples, accumulate, place
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(autouse=True)
 def double_precision():

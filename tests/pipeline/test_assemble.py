@@ -24,8 +24,6 @@ FRAMES, SCALE, KEY = 41, 2, 20
 VELOCITY = (0.21, -0.33)
 STRENGTH = 3e-3
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def spikes() -> np.ndarray:

@@ -22,8 +22,6 @@ from scsr_opt.solvers import ADMM, FISTA, ISTA, LBFGS, ChambollePock, CondatVu, 
 FRAMES, SCALE, KEY = 41, 2, 20
 VELOCITY = (0.21, -0.33)
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 @pytest.fixture(scope="module")
 def spikes() -> np.ndarray:

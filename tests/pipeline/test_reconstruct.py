@@ -18,16 +18,14 @@ from scsr_opt.solvers import FISTA
 
 PICTURE = data.camera()[90:250, 150:310]
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 def moving(scale: int, frames: int = 61):
-    """160x160 picture pixels that pan by 0.11 and 0.17 sensor pixels per frame, and what is seen of them."""
-    scene = Translation(PICTURE, velocity=(0.11 * scale, -0.17 * scale), key=frames // 2)
+    """48×48 sensor pixels (at ×8 20×20) before which a picture pans by 0.11 and 0.17 sensor pixels per frame."""
+    scene = Translation(PICTURE[: 48 * scale, : 48 * scale], velocity=(0.11 * scale, -0.17 * scale), key=frames // 2)
     return simulate(scene, scale=scale, frames=frames, sensor=Sensor(photons=1000.0), seed=3)
 
 
-@pytest.mark.parametrize("scale", [1, 3, 4, 8])
+@pytest.mark.parametrize("scale", [1, 3, 8])
 def test_every_scale_beats_enlarged_playback(scale):
     made = moving(scale)
     solution = reconstruct(made.spikes, scale=scale)
@@ -44,7 +42,7 @@ def test_every_scale_beats_enlarged_playback(scale):
 
 def test_a_scene_at_rest_has_no_motion_and_few_samples():
     """One of all intervals of a pixel, and one for either end."""
-    made = simulate(Static(PICTURE), scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=1)
+    made = simulate(Static(PICTURE[:96, :96]), scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=1)
     solution = reconstruct(made.spikes, scale=2)
     assert solution.velocity is not None and not solution.velocity.any()
     assert solution.diagnostics.samples <= 3 * made.spikes[0].size and solution.diagnostics.positions == 1
@@ -97,7 +95,7 @@ def test_settings_of_the_recording_are_taken():
 
 def test_reconstruct_more_noise_or_fewer_frames_have_a_greater_strength():
     def strength(frames: int, photons: float) -> float:
-        scene = Translation(PICTURE, velocity=(0.1, 0.2), key=frames // 2)
+        scene = Translation(PICTURE[:96, :96], velocity=(0.1, 0.2), key=frames // 2)
         made = simulate(scene, scale=2, frames=frames, sensor=Sensor(photons=photons), seed=4)
         motion = Motion.constant((0.05, 0.1), made.spikes.shape[1:])
         λ = reconstruct(made.spikes, scale=2, motion=motion, solver=FISTA(1)).diagnostics.strength
@@ -125,7 +123,7 @@ def test_stages_are_numbered_through_and_carry_pictures_when_asked():
     assert solution.status is Status.iterations_exhausted
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (5, 3, 5), (40, 1, 30), (101, 1, 1), (2, 4, 4)])
+@pytest.mark.parametrize("shape", [(1, 1, 1), (40, 1, 30), (101, 1, 1), (2, 4, 4)])
 @pytest.mark.parametrize("value", [0, 1])
 def test_blank_and_tiny_recordings(shape, value):
     """No spike: nothing is known. A spike in every frame: light of 1/white_rate at least."""
@@ -151,7 +149,7 @@ def test_reconstruct_samples_that_all_leave_the_picture_gives_no_samples():
         reconstruct(spikes, scale=2, motion=solution.motion, throw=True)
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (3, 6), (5, 7)])
+@pytest.mark.parametrize("shape", [(2, 2), (5, 7)])
 def test_small_sensors_before_which_something_moves(shape):
     """Too few pixels for any layer."""
     wave = np.sin(np.arange(60)[:, None] / 2) * np.cos(np.arange(60) / 3)
@@ -234,7 +232,7 @@ def test_video_of_a_known_answer_at_sensor_resolution(shared_data, name, floor):
     assert -10 * np.log10(np.mean((image - truth) ** 2)) >= floor
 
 
-@pytest.mark.parametrize("key", [0, 30, 59])
+@pytest.mark.parametrize("key", [0, 30])
 def test_noise_is_not_taken_for_motion(key):
     """Spikes drawn anew in every frame contradict any motion; none of the richer ones may be believed for that."""
     spikes = (np.random.default_rng(0).random((60, 24, 30)) < 0.3).astype(np.uint8)

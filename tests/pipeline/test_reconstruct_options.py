@@ -25,9 +25,6 @@ VELOCITY = (0.11, -0.17)  # so fast that exposures are sampled at several positi
 MOTION, STILL = Motion.constant(VELOCITY, (24, 24)), Motion.none(24, 24)
 
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
-
 def panning(**sensor: float) -> Simulation:
     """24x24 sensor pixels."""
     scene = Translation(PICTURE, velocity=(VELOCITY[0] * SCALE, VELOCITY[1] * SCALE), key=KEY)

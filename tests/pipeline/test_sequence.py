@@ -19,10 +19,9 @@ from scsr_opt.pipeline.strength import StrengthSearch
 from scsr_opt.pipeline.task import task_of
 
 PICTURE = data.camera()[90:250, 150:310]
+SMALL = PICTURE[:96, :96]
 SCALE = 2
 KEYS = (50, 55, 60, 65)
-
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def simulated(scene, frames: int = 121):
@@ -31,7 +30,7 @@ def simulated(scene, frames: int = 121):
 
 def test_reconstruct_sequence_pan_is_carried_on_to_the_pictures_of_single_solves(monkeypatch):
     """Up to where a solve ends: what exposures blur comes back slowly, from either side (0.1 dB at most was seen)."""
-    made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
+    made = simulated(Translation(SMALL, velocity=(0.22, -0.34), key=55))
     keys = (50, 55, 65)
     validated, find = [], StrengthSearch.find
     with monkeypatch.context() as patched:
@@ -54,7 +53,7 @@ def test_reconstruct_sequence_pan_is_carried_on_to_the_pictures_of_single_solves
 @pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.22, -0.34)])
 def test_reconstruct_sequence_goes_on_from_the_picture_before(velocity):
     """To the same minimum, in fewer iterations than one from playback with the same motion and strength."""
-    made = simulated(Translation(PICTURE, velocity=velocity, key=55))
+    made = simulated(Translation(SMALL, velocity=velocity, key=55))
     *_, last = reconstruct_sequence(made.spikes, KEYS, scale=SCALE)
     assert last.diagnostics.motion_carried and last.motion is not None
     anew = reconstruct(made.spikes, scale=SCALE, key=KEYS[-1], motion=last.motion, strength=last.diagnostics.strength)
@@ -94,6 +93,7 @@ def test_motion_is_found_anew_where_it_changes():
     assert solutions[2].velocity is not None and not solutions[2].velocity.any()
 
 
+@pytest.mark.slow  # like one that changes, with longer solves
 def test_motion_is_found_anew_where_something_comes_into_view():
     """A disc passes from one frame to the next before what had been a still wall."""
     wall = simulated(Static(PICTURE), 81)
@@ -106,14 +106,14 @@ def test_motion_is_found_anew_where_something_comes_into_view():
 
 
 def test_a_motion_is_not_carried_on_for_ever():
-    made = simulated(Static(PICTURE), 221)
+    made = simulated(Static(SMALL), 221)
     solutions = reconstruct_sequence(made.spikes, range(50, 171, 20), scale=SCALE)
     assert [solution.diagnostics.motion_carried for solution in solutions] == [False, *[True] * 5, False]
 
 
 def test_reconstruct_sequence_options_hold_for_all_pictures():
-    made = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=55))
-    options = Options(strength=0.01, motion=Global(affine=False), gain=np.ones((80, 80)))
+    made = simulated(Translation(SMALL, velocity=(0.22, -0.34), key=55))
+    options = Options(strength=0.01, motion=Global(affine=False), gain=np.ones((48, 48)))
     first, second = reconstruct_sequence(made.spikes, (50, 60), scale=SCALE, options=options, frames=61)
     assert first.diagnostics.strength == second.diagnostics.strength == pytest.approx(0.01)
     assert second.velocity is not None and np.ptp(second.velocity, axis=(1, 2)).max() == 0
@@ -168,7 +168,7 @@ def test_frames_in_any_order_and_container_are_taken(keys):
 
 
 def test_a_sequence_that_nobody_wants_any_more_ends():
-    made = simulated(Static(PICTURE), 61)
+    made = simulated(Static(SMALL), 61)
     following = reconstruct_sequence(made.spikes, range(20, 41), scale=SCALE, frames=31)
     assert next(following).status.usable
     before = threading.active_count()

@@ -30,8 +30,6 @@ ALL_WORK = Shortcuts.none()
 WALL = data.gravel()[40:200, 60:220] / 255  # 80×80 sensor pixels
 BRICK = data.brick()[:60, :60] / 255
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
-
 
 class Changing(Scene):
     """A still scene whose light changes: `frame` gives it."""
@@ -73,6 +71,8 @@ SCENES = {
 
 
 RESTING = "flicker", "lamp at 100 Hz", "hot pixel"
+# Tried by `make test-slow`: another of the same kind is left in `make test`.
+LONGER = "object smaller than a tile", "flicker", "slow drift"
 
 
 def all_of(name: str) -> tuple[Clip, np.ndarray, Solution, list[Solution]]:
@@ -96,7 +96,9 @@ def both(spikes: np.ndarray, scale: int, **options: Any) -> tuple[Solution, Solu
     return full, skipping
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in LONGER else ()) for name in SCENES]
+)
 def test_shortcuts_scene_that_tries_to_fool_them_loses_nothing(name):
     clip, truth, full, skipping = all_of(name)
     assert full.scene is None and full.status.usable and full.velocity is not None
@@ -122,7 +124,10 @@ def test_shortcuts_scene_that_tries_to_fool_them_loses_nothing(name):
         assert not full.velocity.any()
 
 
-@pytest.mark.parametrize(("scale", "velocity", "wall"), [(2, (0.4, -0.4), "grass"), (4, (1.05, -0.55), "gravel")])
+@pytest.mark.parametrize(
+    ("scale", "velocity", "wall"),
+    [(2, (0.4, -0.4), "grass"), pytest.param(4, (1.05, -0.55), "gravel", marks=pytest.mark.slow)],
+)
 def test_shortcuts_few_positions_along_exposures_leave_a_pan_as_sharp(scale, velocity, wall):
     """Too few of them show in the strength: with two from 0.2 sensor pixels on instead of 0.1, and five from 1.2 on
     instead of 0.7, it was 7 and 3 % lower, and 0.09 and 0.03 dB were lost."""
@@ -147,6 +152,7 @@ def test_reconstruct_pan_towards_the_light_is_no_lamp():
     np.testing.assert_allclose(np.median(solution.velocity, axis=(1, 2)), (0, -1 / SCALE), atol=0.01)
 
 
+@pytest.mark.slow  # tests/solvers/test_tiles.py has the iteration of tiles
 def test_shortcuts_finished_tiles_beside_a_small_object_are_left_alone():
     """At ×4, where the default prior couples near pixels only: of 9 tiles 3 are gone on with."""
     wall, brick = data.gravel()[100:484, 60:444] / 255, data.brick()[:120, :120] / 255
@@ -170,6 +176,7 @@ def test_shortcuts_picture_of_few_tiles_is_iterated_as_a_whole():
     assert skipping.diagnostics.iterations == full.diagnostics.iterations
 
 
+@pytest.mark.slow
 def test_shortcuts_object_that_is_mostly_hidden_or_hides_is_no_rest():
     """Behind it and before it a sixth of the sensor contradicts any motion, nearly as much as contradicts rest."""
     wall, brick = data.gravel()[60:316, 60:316] / 255, data.brick()[:120, :120] / 255
@@ -214,7 +221,7 @@ def test_scene_summary_windows_of_what_rests_are_at_rest():
     assert any("nothing is merged" in line for line in scene.lines())
 
 
-@pytest.mark.parametrize("loss", [Huber(), Welsch()])
+@pytest.mark.parametrize("loss", [Huber(), pytest.param(Welsch(), marks=pytest.mark.slow)])
 def test_shortcuts_robust_loss_judges_the_same_intervals(loss):
     """Of a scene at rest whose light drops for 15 frames in a part of it: merged, they would be one mean."""
 

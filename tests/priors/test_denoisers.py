@@ -97,7 +97,7 @@ def test_nl_means_is_scikit_images(oracle):
 
 
 @pytest.mark.parametrize("make", [nl_means, bilateral, tv_chambolle])
-@pytest.mark.parametrize("length", [1, 2, 3, 4, 7, 20])
+@pytest.mark.parametrize("length", [1, 2, 5, 20])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_plug_and_play_single_row_or_column_is_denoised_as_rows_that_are_all_alike(make, length, axis):
     """A picture of one row goes on beyond its border as the same row, and so is filtered as the middle of many."""
@@ -111,7 +111,7 @@ def test_plug_and_play_single_row_or_column_is_denoised_as_rows_that_are_all_ali
 
 @pytest.mark.parametrize("make", [nl_means, bilateral, tv_chambolle])
 @pytest.mark.parametrize("wrap", [lambda d: PlugAndPlay(d), lambda d: RED(d, 0.1)], ids=["pnp", "red"])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 1), (2, 2), (2, 5), (3, 3), (4, 2), (3, 5), (5, 4), (1, 17)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 17), (3, 1), (2, 2), (3, 5)])
 def test_denoisers_on_pictures_smaller_than_a_patch_keep_flat_ones_and_calm_others(make, wrap, shape):
     prior = wrap(make())
     flat = np.full(shape, 0.4, np.float32)

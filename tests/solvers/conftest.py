@@ -23,11 +23,6 @@ VELOCITY = (0.13, -0.21)
 STRENGTH = 0.02
 
 
-@pytest.fixture(autouse=True, scope="module")
-def small_pictures(quick_compilation):
-    """Of 768 pixels, in all modules of this folder."""
-
-
 class Case(NamedTuple):
     """½ Σ ω (A x − y)² + λ TV(x), with its dense matrix in float64, and the same as a `Problem`, and where to start."""
 

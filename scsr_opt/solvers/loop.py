@@ -86,9 +86,8 @@ def run(
     chunk = 1 if keep_images else between
 
     def advanced(before: Any, most: int) -> tuple[Any, ...]:
-        if before is None:
-            return _begin(solver, problem, image, np.int32(most), enough, chunk)
-        return _advance(solver, problem, before, np.int32(most), enough, chunk)
+        start = _begin(solver, problem, image) if before is None else before
+        return _advance(solver, problem, start, np.int32(most), enough)
 
     stages: list[Stage] = []
     status = Status.iterations_exhausted
@@ -176,16 +175,9 @@ def strongly_typed(state: State) -> State:
 
 
 @eqx.filter_jit
-def _begin(
-    solver: Solver[State],
-    problem: Problem,
-    image: Float[Array, "H W"],
-    most: Int[Array | np.int32, ""],
-    tolerance: Float[Array | np.float32, ""],
-    chunk: int,
-) -> tuple[State, Float[Array, "chunk _"], Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
-    """The state before the first iteration, and on from there: in one program, as each costs a call of 0.2 ms."""
-    return _iterate(solver, problem, strongly_typed(solver.init(problem, image)), most, tolerance, chunk)
+def _begin(solver: Solver[State], problem: Problem, image: Float[Array, "H W"]) -> State:
+    """The state before the first iteration."""
+    return strongly_typed(solver.init(problem, image))
 
 
 @eqx.filter_jit
@@ -195,20 +187,8 @@ def _advance(
     state: State,
     most: Int[Array | np.int32, ""],
     tolerance: Float[Array | np.float32, ""],
-    chunk: int,
-) -> tuple[State, Float[Array, "chunk _"], Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
-    return _iterate(solver, problem, state, most, tolerance, chunk)
-
-
-def _iterate(
-    solver: Solver[State],
-    problem: Problem,
-    state: State,
-    most: Int[Array | np.int32, ""],
-    tolerance: Float[Array | np.float32, ""],
-    chunk: int,
-) -> tuple[State, Float[Array, "chunk _"], Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
-    """Up to `most` ≤ `chunk` iterations: the state, their records, how many, all finite?, tolerance met?"""
+) -> tuple[State, Float[Array, "most _"], Int[Array, ""], Bool[Array, ""], Bool[Array, ""]]:
+    """Up to `most` ≤ `CHUNK_ITERATIONS` iterations: the state, their records, how many, all finite?, tolerance met?"""
     dtype = problem.data.target.dtype
     enough = jnp.asarray(tolerance, dtype)
 
@@ -223,6 +203,6 @@ def _iterate(
         met = finite & (solver.stopping.measure(record.residual, record.gap) <= enough)
         return state, table.at[done].set(jnp.stack(record)), done + 1, finite, met
 
-    table = jnp.zeros((chunk, len(Record._fields)), dtype)
+    table = jnp.zeros((CHUNK_ITERATIONS, len(Record._fields)), dtype)
     begin = (state, table, jnp.zeros((), jnp.int32), jnp.asarray(True), jnp.asarray(False))
     return jax.lax.while_loop(go_on, one, begin)

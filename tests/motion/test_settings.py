@@ -18,7 +18,6 @@ from scsr_opt.motion.settings import (
 from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.task import task_of
 
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 HEIGHT, WIDTH = 24, 32
 
 

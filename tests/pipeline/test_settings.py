@@ -99,7 +99,7 @@ def spikes() -> np.ndarray:
     return np.diff(np.floor(charge), axis=0, prepend=0).astype(np.uint8)
 
 
-def test_reconstruct_settings_reach_their_stages(spikes, quick_compilation):
+def test_reconstruct_settings_reach_their_stages(spikes):
     usual = reconstruct(spikes, scale=2)
     assert usual.scene is not None and usual.scene.kind.shape == (2, 2)
     settings = PipelineSettings(
@@ -119,7 +119,7 @@ def test_reconstruct_settings_reach_their_stages(spikes, quick_compilation):
     assert usual.tiles is None and found.tiles is not None and found.tiles.tile_side == 16
 
 
-def test_reconstruct_strength_is_raised_by_its_settings(spikes, quick_compilation):
+def test_reconstruct_strength_is_raised_by_its_settings(spikes):
     usual = reconstruct(spikes, scale=2, gain=None)
     twice = PipelineSettings(strength=StrengthSettings(raised_by=(2.8, 3.4), least_by_noise=(1.4, 0.8)))
     found = reconstruct(spikes, scale=2, gain=None, settings=twice)

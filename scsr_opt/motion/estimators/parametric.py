@@ -291,14 +291,19 @@ class _Limits(NamedTuple):
 
 
 class _FitState(NamedTuple):
-    """A fit after some steps: the `numbers`; the last Gauss–Newton `update` and the factor, `times`, by which it was
-    extrapolated; the number of steps `done`; the largest displacement, sensor pixels, that the last one made."""
+    """A fit after some steps: the `numbers`; the `matrix` and `gradient` of the equations there before the last step;
+    the last Gauss–Newton `update` and the factor, `times`, by which it was extrapolated; the number of steps `done`;
+    the largest displacement, sensor pixels, that the last one made; `finished`, where the equations are those at the
+    numbers."""
 
     numbers: Float[Array, "2 8"]
+    matrix: Float[Array, "16 16"]
+    gradient: Float[Array, "16 points"]
     update: Float[Array, "2 8"]
     times: Float[Array, ""]
     done: Int[Array, ""]
     moved: Float[Array, ""]
+    finished: Bool[Array, ""]
 
 
 @partial(jax.jit, static_argnames="settings")
@@ -330,6 +335,7 @@ def _fit(
     def step(carry: _FitState) -> _FitState:
         numbers = carry.numbers
         matrix, gradient = equations(numbers)
+        finished = (carry.done >= limits.steps) | (carry.moved <= limits.tolerance)
         # Unit diagonal: velocities and accelerations differ by orders of magnitude. Slight damping keeps the step
         # finite where the picture has no texture.
         scale = jnp.where(on, 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12), 0)
@@ -343,17 +349,18 @@ def _fit(
         more = jnp.where(share < 1, carry.times / jnp.maximum(1 - share, 1e-6), settings.growing_step_ratio)
         times = jnp.where(carry.done > 0, jnp.clip(more, 1, settings.longest_step_ratio), 1)
         moved = times * jnp.abs(now).max(1).sum()
-        return _FitState(numbers + times * update, update, times, carry.done + 1, moved)
+        following = jnp.where(finished, numbers, numbers + times * update)
+        return _FitState(following, matrix, gradient, update, times, carry.done + 1, moved, finished)
 
-    def unfinished(carry: _FitState) -> Array:
-        return (carry.done < limits.steps) & (carry.moved > limits.tolerance)
-
+    # The equations at the numbers found are those of a last turn without a step: compiled apart, they took as long to
+    # compile as all the rest.
     one, infinite = (jnp.asarray(number, pictures.dtype) for number in (1, jnp.inf))
-    begin = _FitState(numbers, jnp.zeros_like(numbers), one, jnp.zeros_like(limits.steps), infinite)
-    numbers = jax.lax.while_loop(unfinished, step, begin).numbers
-    matrix, gradient = equations(numbers)
-    gradients = jax.ops.segment_sum(gradient.T, points.block, num_segments=settings.blocks_per_side**2)
-    return numbers, _Equations(matrix, gradients)
+    matrix, gradient = (jnp.zeros((on.size, n), pictures.dtype) for n in (on.size, points.region.size))
+    done, finished = jnp.zeros_like(limits.steps), jnp.asarray(False)
+    begin = _FitState(numbers, matrix, gradient, jnp.zeros_like(numbers), one, done, infinite, finished)
+    found = jax.lax.while_loop(lambda state: ~state.finished, step, begin)
+    gradients = jax.ops.segment_sum(found.gradient.T, points.block, num_segments=settings.blocks_per_side**2)
+    return found.numbers, _Equations(found.matrix, gradients)
 
 
 def _normal_equations(

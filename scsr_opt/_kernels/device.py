@@ -3,6 +3,8 @@
 import functools
 
 import jax
+import numpy as np
+from jaxtyping import Array
 
 from scsr_opt.errors import InputError
 
@@ -19,3 +21,8 @@ def check_device() -> None:
             f"JAX finds no device of the kind that JAX_PLATFORMS={told} asks for: unset JAX_PLATFORMS or set it to "
             f"cpu, or install the JAX that supports the device (for NVIDIA's GPUs: pip install 'jax[cuda12]')."
         ) from error
+
+
+def on_device(array: np.ndarray) -> Array:
+    """A copy of a NumPy array as one of JAX's. `jnp.asarray` would compile a program for each shape."""
+    return jax.device_put(array, may_alias=False)

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, Shaped
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt._kernels.programs import ready
 from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera.recording import READOUT_RATE, checked_settings
@@ -82,7 +83,7 @@ class GainNetwork(eqx.Module):
         """The shipped network, or that of another file."""
         with np.load(path) as arrays:
             count = len(arrays.files) // 2
-            weights = [jnp.asarray(arrays[f"{name}{n}"]) for name in ("weight", "bias") for n in range(count)]
+            weights = [on_device(arrays[f"{name}{n}"]) for name in ("weight", "bias") for n in range(count)]
         # Only the layout is needed: drawing first weights would compile five programs.
         network = eqx.filter_eval_shape(lambda: GainNetwork(weights[0].shape[0], count, key=jax.random.key(0)))
         return eqx.tree_at(

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
+from scsr_opt._kernels.device import on_device
 from scsr_opt._kernels.programs import ready
 from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.inversion import (
@@ -387,9 +388,9 @@ def trajectory_of(
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
     if motion.trust is None and not motion.moves:
         moments = moments[:1]  # at rest one moment serves all
-    after = jnp.asarray(moments - np.float32(key))
+    after = on_device(moments - np.float32(key))
     position, visible = key_frame_positions(motion, after, settings=settings)
-    return Trajectory(jnp.asarray(moments[0]), position, _times_trust(motion.trust, visible, position, after))
+    return Trajectory(on_device(moments[0]), position, _times_trust(motion.trust, visible, position, after))
 
 
 def key_frame_positions(
@@ -458,7 +459,7 @@ def _times_trust(
     """`visible` times the trust in the motion at the key-frame point that is seen."""
     if trust is None:
         return visible
-    return _times_share(visible, jnp.asarray(trust.share), jnp.asarray(trust.after), position, after)
+    return _times_share(visible, trust.share, trust.after, position, after)
 
 
 @jax.jit

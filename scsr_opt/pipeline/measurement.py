@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.calibration.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
 from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera.samples import RUN_FRAMES, Samples, padded_length
@@ -56,7 +57,9 @@ class Measurements(NamedTuple):
         padded = with_gain(self.samples, gain).padded()
         share = share_of_unknown_gain(self.samples, gain, known, noise)[padded.row, padded.column]
         placed = eqx.tree_at(
-            lambda p: (p.value, p.weight), self.placed, (jnp.asarray(padded.value), self.placed.weight * share)
+            lambda p: (p.value, p.weight),
+            self.placed,
+            (on_device(np.asarray(padded.value)), self.placed.weight * share),
         )
         return self._replace(padded=padded, placed=placed)
 
@@ -83,7 +86,7 @@ class Measurements(NamedTuple):
         if pixels is not None:
             chosen = np.flatnonzero(pixels[samples.row, samples.column])
             samples = jax.tree.map(lambda values: values[chosen], samples)
-            placed = placed.only(jnp.asarray(np.pad(chosen, (0, padded_length(samples.row.size) - chosen.size))))
+            placed = placed.only(on_device(np.pad(chosen, (0, padded_length(samples.row.size) - chosen.size))))
         used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
         predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
         moved = motion.moved(len(clip.spikes))
@@ -155,11 +158,11 @@ def measure(
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
     padded = (samples if gain is None else with_gain(samples, gain)).padded()
     placed = place(
-        jax.tree.map(jnp.asarray, padded),
+        jax.tree.map(on_device, padded),
         path,
         scale=scale,
         shape=(scale * height, scale * width),
-        positions=jnp.asarray(np.pad(positions, (0, padded.row.size - positions.size))),
+        positions=on_device(np.pad(positions, (0, padded.row.size - positions.size))),
         finest=_POSITIONS[0] if positions.max(initial=1) > 1 else 1,
         on_sensor=on_sensor and path.position.shape[0] == 1,
     )

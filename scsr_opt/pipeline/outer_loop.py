@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.errors import InputError
 from scsr_opt.operators.data_term import DataTerm
 from scsr_opt.operators.exposure import with_exposure
@@ -88,7 +89,7 @@ class MajorizeMinimize:
             outcome = self._solved(term, placed, image, state, near)
         else:
             outcome = self._reweighted(term, placed, image, state, near, self.robust)
-        return Majorized(outcome, _blurred(term, jnp.asarray(outcome.image)))
+        return Majorized(outcome, _blurred(term, on_device(outcome.image)))
 
     def term(
         self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None, *, sums: DataTerm | None = None
@@ -149,7 +150,7 @@ class MajorizeMinimize:
             stages += [replace(stage, number=len(stages) + n) for n, stage in enumerate(outcome.stages, 1)]
             if last or not outcome.status.usable:
                 break
-            before, state, near = near, outcome.state, jnp.asarray(outcome.image)
+            before, state, near = near, outcome.state, on_device(outcome.image)
             limit = self.settings.reweighting_settled_tolerances * self.solver.tolerance
             settled = before is not None and float(_distance(near, before)) <= limit
         return outcome._replace(stages=tuple(stages))

@@ -11,7 +11,8 @@ from scsr_opt.errors import InputError, shown
 
 @runtime_checkable
 class Progress(Protocol):
-    """What long work calls: `start`, then `advance` any number of times, then `finish`; then perhaps `start` again.
+    """Receiver of the progress of long work, which calls `start`, then `advance` any number of times, then `finish`; it
+    may then call `start` again for a further part.
 
     - `start(total, what)`: begins a part of the work of `total` steps (None where nobody knows); `what` says in a few
       words what is being done, for example "Solving".

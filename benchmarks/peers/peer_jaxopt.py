@@ -1,6 +1,6 @@
 """jaxopt: ProximalGradient, plain and accelerated, in one compiled loop.
 
-It has no proximal step of total variation; the one handed in here is the dual fast gradient projection of Beck and
+It has no proximal step of total variation; the one used here is the dual fast gradient projection of Beck and
 Teboulle (2009), which starts anew each time because jaxopt's proximal steps have no memory.
 """
 

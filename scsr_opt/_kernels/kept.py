@@ -81,7 +81,7 @@ def programs_folder() -> Path:
 
 
 def kept() -> Kept:
-    """What is in the cache folder, for all kinds of processor."""
+    """The programs in the cache folder, for all kinds of processor."""
     sizes = [size for _, _, size in _entries()]
     return Kept(len(sizes), sum(sizes))
 

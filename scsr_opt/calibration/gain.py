@@ -5,7 +5,7 @@ A sample of pixel p measures Y = g(p)·I. Where g is known, Y / g is what counts
 - from a recording of an evenly lit surface (`flat_gain`), once for a camera;
 - from any recording in which the scene moves (`blind_gain`): a point of the scene is then seen by many pixels and a
   pixel sees many points, so that all others together predict what this pixel should have measured.
-  A gain that varies slowly along the motion (over further than the scene moved) cannot be told from the picture.
+  A gain that varies slowly along the motion (over further than the scene moved) cannot be separated from the picture.
 
 Where nothing moves, each pixel sees one point only and gain and picture are one: nothing but an assumption on pictures
 tells them apart. `blind_gain` leaves such pixels as they are; `scsr_opt.calibration.gain_at_rest` makes the assumption.

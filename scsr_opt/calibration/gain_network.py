@@ -132,7 +132,7 @@ def gain_at_rest(
     sampled_gains: bool = True,
     settings: GainSettings = GainSettings(),
 ) -> Float[np.ndarray, "h w"]:
-    """Gains of the pixels of a camera before a still scene, as far as they can be told from the picture.
+    """Gains of the pixels of a camera before a still scene, as far as the picture determines them.
 
     Of gains that spread by 5 % some 70 % of the variance are left in the mean of pictures and lights, and much less
     where they are plain. All gains are 1 unless they seem to spread by 1 % or more in nine tenths of the squares of 8×8

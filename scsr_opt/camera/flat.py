@@ -1,4 +1,4 @@
-"""What a flat `.dat` file does not say: how large its frames are and how long its rows.
+"""Size of the frames and length of the rows of a flat `.dat` file, which holds neither.
 
 The file is nothing but packed frames. The size comes from the caller, else from the file's name (`…_400x250…`) or a
 SpikeCV `config.yaml`. Where the pixels of a row lie in it is a `FlatLayout`: some recorders of the 400-column sensor
@@ -29,7 +29,7 @@ ROWS_WITH_GAPS = {400: FlatLayout(416, ((0, 400),)), 1000: FlatLayout(1024, ((0,
 """Width of a sensor → the layout of its files in which not every bit of a row is a pixel."""
 
 _SAMPLED_BITS, _SAMPLED_FRAMES = 1 << 22, (8, 64)
-"""Bits, and frames at least and at most, all over a file by which layouts are told from each other."""
+"""Bits, and frames at least and at most, all over a file by which layouts are distinguished."""
 _GAP_CHANGES = 0.01
 """Fraction of the bits between pixels that may differ from frame to frame, bit errors, as a part of the pixels'."""
 _CHANCE = 1e-3
@@ -92,8 +92,8 @@ def contradicted_size(path: Path, size: tuple[int, int]) -> str | None:
     if not known or size in known:
         return None
     turned = "; the size is WIDTHxHEIGHT" if size[::-1] in known else ""
-    told = " and ".join(f"{source} says {show_size(other)}" for other, source in known.items())
-    return f"{path.name}: size {show_size(size)} was given and is taken, but {told}{turned}."
+    others = " and ".join(f"{source} says {show_size(other)}" for other, source in known.items())
+    return f"{path.name}: size {show_size(size)} was given and is taken, but {others}{turned}."
 
 
 def known_sizes(path: Path) -> dict[tuple[int, int], str]:

@@ -14,8 +14,8 @@ SpikeCV's `SpikeToRaw` and the files of the cameras. Those only know frames of a
 whose h·w is not a multiple of 8 is filled up with zero bits to the next byte, so every size can be written and read
 back; files whose frames follow each other without that are read as well.
 
-None of them says for sure what it holds. What can be told by the first bytes (`magic`), by the axis along which spikes
-are regular (`axes`) and by what rows and frames look like (`flat_content`) is, before it is read as something else:
+None of them says for sure what it holds. Before a file is read, its kind is recognised by the first bytes (`magic`),
+its axis of time by where spikes are regular (`axes`), its layout by what rows and frames look like (`flat_content`):
 docs/formats.md has the table.
 """
 
@@ -248,7 +248,7 @@ def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:
             f"{where} has the shape {array.shape} and type {array.dtype}, which is not 'length' = {frames} frames "
             f"packed eight to a byte (ceil(length / 8), rows, columns) of uint8: unpack it, and save it as 'spikes'."
         )
-    # numpy packs the first frame into the highest bit unless told otherwise. In the wrong order, frames of one byte
+    # numpy packs the first frame into the highest bit by default. In the wrong order, frames of one byte
     # still lie beside each other; it shows where one byte ends and the next begins, in the middle of pieces from 4 on.
     orders = [np.unpackbits(array, axis=0, count=count, bitorder=order) for order in ("big", "little")]
     found = [axis_regularity(order[min(4, count - 1) :])[0] for order in orders]

@@ -76,7 +76,7 @@ class Noise(eqx.Module):
         **Arguments:** `samples`, weighted by duration; `level` I of each pixel, smoothed over its neighbours.
         """
         span = float(samples.stop.max() - samples.start.min()) if samples.stop.size else 1.0
-        # Light that cannot be told from none would get any weight.
+        # Light that is not distinguishable from none would get any weight.
         darkest = max(float(np.median(level)), 1e-3) / 20
         factor = 1 / np.maximum(self.variance(span, np.maximum(level, darkest)), 1e-12)
         weight = np.asarray(samples.weight) * factor[samples.row, samples.column]

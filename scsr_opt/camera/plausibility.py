@@ -41,7 +41,7 @@ AXIS_BLOCK = (64, 112, 112)
 SMOOTHED_PIXELS = 33
 """Pixels along rows whose mean is taken off before rows are compared: the slow course of light agrees anywhere."""
 LEAST_AGREEMENT = 0.15
-"""Correlation of neighbours from which on a picture is one that rows can be told by (real ones: 0.19 to 0.95)."""
+"""Correlation of neighbours from which on a picture shows the length of its rows (real ones: 0.19 to 0.95)."""
 LEAST_DEVIATIONS = 10.0
 """Limit of the correlation for small sensors, in standard deviations of the correlation of unrelated pixels."""
 DISAGREEMENT = 0.4

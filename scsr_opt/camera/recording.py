@@ -239,7 +239,7 @@ def _index(value: Any, name: str, counted: str = "frames") -> int:
 
 
 def _held(array: np.ndarray) -> str:
-    """What a mask should not hold: values of another kind, or some beyond 0 and 1."""
+    """Description of the values of an array that is no mask: their type, or their range."""
     if array.dtype.kind not in "iu":
         return f"values of type {array.dtype}"
     return f"values from {array.min()} to {array.max()}"

@@ -152,7 +152,7 @@ def simulate(
     measured on real cameras), so that between two spikes exactly θ has come in: ∫ I dt = θ (Eq. 1). The first charge is
     uniform in [0, θ), as if the camera had been running. One readout holds one spike at most: light above θ per frame
     crosses the threshold several times within one, but is read out as a single spike (Eq. 1's S(n_k) = 1, whatever else
-    falls into n_k). Such a pixel is saturated: it fires in every frame, and intensities above θ cannot be told apart.
+    falls into n_k). Such a pixel is saturated: it fires in every frame, and intensities above θ look alike.
     With the default `white_rate` of 0.6 that begins at intensity 1.67, with one above 1 it begins below white.
 
     **Arguments:**

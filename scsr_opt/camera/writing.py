@@ -115,7 +115,7 @@ def _check_flat(file: Path, recording: Recording, row_bits: int) -> None:
 
 
 def _chunks(recording: Recording, multiple: int = 1) -> Iterator[UInt8[np.ndarray, "n h w"]]:
-    """All frames, a `multiple` of so many at a time."""
+    """All frames, at each step a number of them that is divisible by `multiple`."""
     step = max(1, _CHUNK_BYTES // (recording.height * recording.width * multiple)) * multiple
     starts = range(0, recording.frames, step)
     return read_meanwhile(recording.window(start, min(start + step, recording.frames)) for start in starts)

@@ -32,7 +32,7 @@ ROTATION = 0.0008
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo made.
+    """Results of the demo.
 
     **Fields:**
     - `simulation`, `recording`, `solution`: in the order in which they came about.

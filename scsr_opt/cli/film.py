@@ -47,7 +47,7 @@ def film(
         Whole | None, Parameter(help="Frames from one picture to the next. Default: about 25 pictures in all.")
     ] = None,
     frames: Annotated[
-        Whole | None, Parameter(help="Use only so many frames around each key frame. Default: 101.")
+        Whole | None, Parameter(help="Use only this number of frames around each key frame. Default: 101.")
     ] = None,
     rate: Annotated[float, Parameter(help="Pictures per second.")] = 25.0,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,

@@ -145,7 +145,7 @@ def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:
 def moments(
     recording: "scsr_opt.camera.Recording", start: int, stop: int | None, step: int | None, *, about: int
 ) -> range:
-    """The frames that a film shows, from `start` to before `stop`, `about` so many where no step is given.
+    """The frames that a film shows, from `start` to before `stop`, `about` this number where no step is given.
 
     **Raises:** `InputError` for frames that the recording has not, or a step below 1.
     """
@@ -173,8 +173,8 @@ def check_outputs(inputs: list[Path], overwrite: bool, /, **outputs: Path | None
     - `overwrite`: whether outputs may replace other files.
     - `outputs`: option (`output`, `report`, …) → path, None where it was not given.
 
-    **Raises:** `InputError` if one cannot be written, would replace an input or, if not told to, another file, or two
-    are the same file.
+    **Raises:** `InputError` if one cannot be written, would replace an input or, without `overwrite`, another file, or
+    two are the same file.
     """
     read = {os.path.realpath(source) for source in inputs}
     seen: dict[str, str] = {}
@@ -204,5 +204,5 @@ def say_error(sentence: str) -> None:
 
 
 def say_failure(what: str, why: str) -> None:
-    """That `what` did not come about, and `why`, the sentence of a `Result`: both in one."""
+    """One line on standard error: `what` did not come about, and `why`, the message of a `Status`."""
     say_error(f"{what}: {why[:1].lower()}{why[1:]}")

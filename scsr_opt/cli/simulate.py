@@ -265,7 +265,7 @@ def load_image(name: str) -> Any:
 def _check(
     images: tuple[str, ...], motion: Motion, output: Path, truth: Path | None, true_velocity: Path | None
 ) -> None:
-    """What can be known to fail before anything is simulated."""
+    """Raises `InputError` for what is known to fail before anything is simulated."""
     from scsr_opt.camera.writing import ENDINGS
     from scsr_opt.report.pictures import PictureFormat
 

@@ -32,7 +32,7 @@ def solve(
     ] = 4,
     key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
     frames: Annotated[
-        Whole | None, Parameter(help="Use only so many frames around the key frame. Default: 101.")
+        Whole | None, Parameter(help="Use only this number of frames around the key frame. Default: 101.")
     ] = None,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
@@ -110,7 +110,7 @@ def solve(
 
 
 def _camera_lines(found: Any) -> list[str]:
-    """Sentences on the camera, where the recording told something of it."""
+    """Sentences on the gains and the lens, where they were estimated."""
     lines = []
     if found.optics_sigma is not None:
         lines.append(f"Lens: blurs by a standard deviation of {found.optics_sigma:.2g} sensor pixels.")
@@ -135,7 +135,7 @@ def _explained(solution: Any) -> list[str]:
 
 
 def _left(result: Any, residual: float, positions: int) -> str:
-    """What the last iteration of the whole picture says of the next one."""
+    """Sentence on how far the last iteration of the whole picture, or one more, changes it."""
     from scsr_opt.solvers import Status
 
     if result is not Status.converged:

@@ -36,7 +36,7 @@ Robust = Literal["huber", "welsch"]
 @Parameter(name="*", group=Group("Solving", sort_key=1))
 @dataclass(frozen=True, kw_only=True)
 class Solving:
-    """What is solved and how; None where it is left to `reconstruct`."""
+    """Options of a solve; None where the default of `reconstruct` holds."""
 
     motion: Annotated[
         str,
@@ -49,7 +49,7 @@ class Solving:
         ),
     ] = "auto"
     refine: Annotated[
-        Whole, Parameter(help="Refine the motion against the picture so many times, solving again each time.")
+        Whole, Parameter(help="How often the motion is refined against the picture, which is then solved again.")
     ] = 0
     samples: Annotated[
         str, Parameter(help="What is measured: intervals between spikes, or windows:N, spikes counted over N frames.")

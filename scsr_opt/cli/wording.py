@@ -11,7 +11,7 @@ _NEXT = re.compile(r"[.?]\s+(Did you mean|Choose from|Only got|Got|Use|This opti
 
 
 def sentence(error: Exception) -> str:
-    """What is wrong, for standard error."""
+    """The error as a sentence for standard error."""
     if isinstance(error, CycloptsError):
         return _of_parser(error)
     if isinstance(error, InputError):
@@ -44,6 +44,6 @@ def _of_parser(error: CycloptsError) -> str:
 
 
 def _clause(error: MissingArgumentError) -> str:
-    """What the option's help begins with."""
+    """The first clause of an option's help."""
     help = (error.argument.parameter.help if error.argument is not None else None) or "see --help"
     return help.split(". ")[0].rstrip(".")

@@ -77,7 +77,7 @@ class Task:
         return motion_in(frames, self.estimator, self.options.settings.motion)
 
     def estimate_gain_at_rest(self) -> Float[np.ndarray, "h w"]:
-        """Gains of the pixels of a scene at rest, (h, w), told from the picture by a network (`gain_at_rest`)."""
+        """Gains of the pixels of a scene at rest, (h, w), estimated from the picture by a network (`gain_at_rest`)."""
         clip = self.clip
         return gain_at_rest(
             clip.spikes,

@@ -84,7 +84,7 @@ class Bounded(Prior[BoundedState]):
 
     @property
     def separable(self) -> bool:
-        """That of the bounded prior: the nearest picture within the bounds is found pixel by pixel."""
+        """Whether the bounded prior is separable: the nearest picture within the bounds is found pixel by pixel."""
         return self.prior.separable
 
     def clip(self, image: Float[Array, "H W"]) -> Float[Array, "H W"]:

@@ -57,7 +57,7 @@ class Centred(Prior[Any]):
 
     @property
     def separable(self) -> bool:
-        """That of the centred prior."""
+        """Whether the centred prior is separable."""
         return self.prior.separable
 
     def value(self, image: Float[Array, "H W"]) -> Float[Array, ""]:

@@ -50,7 +50,7 @@ class NumpyDenoiser(eqx.Module):
         return jax.lax.bitcast_convert_type(denoised, image.dtype)
 
     def on_numpy(self, picture: Float[np.ndarray, "H W"], sigma: float) -> Float[np.ndarray, "H W"]:
-        """What the function makes of a picture. **Raises:** `InputError` if it is no picture of this shape."""
+        """The function's picture. **Raises:** `InputError` if it is no picture of this shape."""
         found = np.asarray(self.function(picture, sigma))
         if found.shape == np.squeeze(picture).shape:
             found = found.reshape(picture.shape)

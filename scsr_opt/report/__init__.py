@@ -1,4 +1,4 @@
-"""What a reconstruction is shown with: pictures and films in files, the figure, the report, progress.
+"""Ways to show a reconstruction: pictures and films in files, the figure, the report, progress.
 
     figure(solution).savefig("figure.png")
     Report.of(solution).write("report.json")

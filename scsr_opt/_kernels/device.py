@@ -23,6 +23,6 @@ def check_device() -> None:
         ) from error
 
 
-def on_device(array: np.ndarray) -> Array:
+def on_device(array: np.ndarray | np.generic) -> Array:
     """A copy of a NumPy array as one of JAX's. `jnp.asarray` would compile a program for each shape."""
     return jax.device_put(array, may_alias=False)

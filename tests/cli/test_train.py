@@ -71,7 +71,7 @@ def test_train_on_pictures(scsr, here, config):
 
 def test_train_that_fails(scsr, here, config):
     (here / config).write_text(CONFIG + "[network]\nloss = inf\n")
-    assert "Training failed: 20 steps in a row" in scsr("train", config, "--steps", "40", code=1)
+    assert "Training failed: too many steps in a row" in scsr("train", config, "--steps", "40", code=1)
 
 
 @pytest.mark.parametrize(

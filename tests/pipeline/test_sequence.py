@@ -148,7 +148,7 @@ def test_sequence_with_keys_that_are_no_frames_is_refused_by_the_call(monkeypatc
         (np.array([True, False]), r"keys\[0\] is np.True_"),
         ([3, None], r"keys\[1\] is None"),
         (["3"], r"keys\[0\] is '3'"),
-        (np.array([[3, 4]]), r"keys\[0\] is array"),
+        (np.array([[3, 4]]), r"keys\[0\] is an array of shape \(2,\)"),
         (iter(()), "it must be the frames of the pictures"),
         ("50", "keys is '50'; it must be the frames"),
         (b"50", "keys is b'50'; it must be the frames"),

@@ -11,14 +11,10 @@ from typing import Any
 
 from scsr_opt.camera.flat import CAMERA_SIZES, parse_size, show_size
 from scsr_opt.camera.plausibility import Regularity, axis_regularity, contradiction
+from scsr_opt.camera.settings import CONTENT
 from scsr_opt.errors import InputError
 
 FIRST, LAST = 0, 2
-
-_LEAST_SIDE = 8
-"""Rows, columns and frames from which on a reading is one of a sensor that could be recorded."""
-_LONGEST_SIDE = 4
-"""Longer side of a sensor, in shorter ones, up to which a reading is one: cameras have up to 2.5."""
 
 
 def time_axis(stored: Any, where: str, *, size: Any, convention: int | None, written: bool = False) -> int:
@@ -87,7 +83,7 @@ def _speaks_for_time_first(found: tuple[Regularity, ...]) -> bool:
 def _of_a_sensor(shape: tuple[int, ...], axis: int) -> bool:
     """Test of a reading with as many frames, rows and columns as a recording has at least."""
     sides = _size(shape, axis)
-    return min(shape) >= _LEAST_SIDE and max(sides) <= _LONGEST_SIDE * min(sides)
+    return min(shape) >= CONTENT.least_side and max(sides) <= CONTENT.longest_side_ratio * min(sides)
 
 
 def _size(shape: tuple[int, ...], axis: int) -> tuple[int, int]:

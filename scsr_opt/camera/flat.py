@@ -20,6 +20,7 @@ from jaxtyping import UInt8
 
 from scsr_opt.camera.plausibility import Regularity, regularity
 from scsr_opt.camera.sampling import trains_of
+from scsr_opt.camera.settings import CONTENT
 from scsr_opt.camera.sources import FlatLayout, FlatSource
 from scsr_opt.errors import InputError, shown
 
@@ -28,12 +29,6 @@ CAMERA_SIZES = ((400, 250), (1000, 1000))
 ROWS_WITH_GAPS = {400: FlatLayout(416, ((0, 400),)), 1000: FlatLayout(1024, ((0, 500), (512, 1012)))}
 """Width of a sensor → the layout of its files in which not every bit of a row is a pixel."""
 
-_SAMPLED_BITS, _SAMPLED_FRAMES = 1 << 22, (8, 64)
-"""Bits, and frames at least and at most, all over a file by which layouts are distinguished."""
-_GAP_CHANGES = 0.01
-"""Fraction of the bits between pixels that may differ from frame to frame, bit errors, as a part of the pixels'."""
-_CHANCE = 1e-3
-"""Probability below which bits that fill up frames are not zero by chance."""
 
 _SIZE = re.compile(r"\s*(\d+)\s*[xX×]\s*(\d+)\s*")
 # Two digits at least, so that names such as `car_2x4` (a scale) are not taken for a size.
@@ -185,8 +180,8 @@ def _sampled(path: Path, height: int, layout: FlatLayout) -> UInt8[np.ndarray, "
     """All bits of some frames all over the file."""
     frames = layout.frames(path.stat().st_size, height)
     source = FlatSource(path, (frames, height, layout.width), layout, False)
-    least, most = _SAMPLED_FRAMES
-    count = max(least, min(most, _SAMPLED_BITS // layout.frame_bits(height)))
+    least, most = CONTENT.layout_frames
+    count = max(least, min(most, CONTENT.layout_bits // layout.frame_bits(height)))
     chosen = np.unique(np.linspace(0, frames - 1, count).astype(int))
     return np.concatenate([source.bits(int(frame), int(frame) + 1) for frame in chosen])
 
@@ -198,7 +193,8 @@ def _has_gaps(path: Path, height: int, layout: FlatLayout) -> bool:
     pixel = np.zeros(layout.row_bits, bool)
     for start, stop in layout.segments:
         pixel[start:stop] = True
-    return bool(changes[~pixel].mean() <= _GAP_CHANGES * changes[pixel].mean()) and bool(changes[pixel].any())
+    most = CONTENT.gap_changes_share * changes[pixel].mean()
+    return bool(changes[~pixel].mean() <= most) and bool(changes[pixel].any())
 
 
 def _fires(path: Path, height: int, layout: FlatLayout, other: FlatLayout) -> bool:
@@ -254,7 +250,7 @@ def _both_fit(path: Path, height: int, layout: FlatLayout) -> bool:
         return False
     sampled = _sampled(path, height, layout)
     filling = sampled[:, bits:]
-    if filling.any() or (1 - sampled[:, :bits].mean()) ** filling.size < _CHANCE:
+    if filling.any() or (1 - sampled[:, :bits].mean()) ** filling.size < CONTENT.filling_chance:
         return False
     with path.open("rb") as stream:
         stream.seek(-1, os.SEEK_END)

@@ -20,21 +20,8 @@ from scsr_opt.camera.plausibility import (
 )
 from scsr_opt.camera.records import record_length
 from scsr_opt.camera.sampling import rates_of, trains_of
+from scsr_opt.camera.settings import CONTENT
 from scsr_opt.camera.sources import FlatLayout, FlatSource
-
-_MULTIPLES = (2, 3, 4)
-"""Times the height that frames may really have, where they were taken for a part of one."""
-_WARNED_FROM = 2000.0
-"""Coincidences that chance must make for a file to be called none of spikes: a standard deviation of 0.02."""
-_RANDOM_BELOW = 1.15
-"""Ratio above which pixels do not fire at random: they are very bright and very dark by turns, as they are where a fine
-pattern passes in too bright light."""
-_ONE_PIXEL_BELOW = 0.3
-"""Ratio below which half frames are of the same pixels: 0 to 0.11 in real recordings, two pixels have about 1."""
-_LONGEST_SIDE = 4
-"""Longer side of a size that is proposed, in shorter ones: cameras have up to 2.5."""
-_COMPARED_PIXELS = 1 << 17
-"""Pixels in the middle of a frame whose rows are compared: all of 250x400."""
 
 
 def remark(source: FlatSource) -> str | None:
@@ -68,7 +55,11 @@ def remark(source: FlatSource) -> str | None:
 def _fires_at_random(source: FlatSource) -> bool:
     """Test of pixels that are not saturated: they fire without regard to when they last did."""
     found = regularity(unsaturated(trains) for trains in trains_of(source))
-    return found.irregular and found.ratio < _RANDOM_BELOW and found.expected > _WARNED_FROM
+    return (
+        found.irregular
+        and found.ratio < CONTENT.random_below_ratio
+        and found.expected > CONTENT.warning_least_coincidences
+    )
 
 
 def _holds_two(source: FlatSource) -> bool:
@@ -80,7 +71,7 @@ def _holds_two(source: FlatSource) -> bool:
     halves = dataclasses.replace(source, shape=(2 * frames, height // 2, width), layout=packed)
     # Two pixels that see opposite parts of a pattern that moves take turns as well, but only in the long run.
     certain = [found for found in regularities(trains_of(halves)) if found.certain]
-    return bool(certain) and max(certain).ratio < _ONE_PIXEL_BELOW
+    return bool(certain) and max(certain).ratio < CONTENT.one_pixel_below_ratio
 
 
 def _bits_reversed(source: FlatSource) -> bool:
@@ -95,9 +86,9 @@ def _better_rows(source: FlatSource) -> tuple[int, int] | None:
     _, height, width = source.shape
     pixels = height * width
     rates = rates_of(source)
-    start = max(0, pixels - _COMPARED_PIXELS) // 2 // width * width
-    middle = rates[start:][:_COMPARED_PIXELS]
-    sides = range(math.isqrt(pixels // _LONGEST_SIDE), math.isqrt(pixels * _LONGEST_SIDE) + 1)
+    start = max(0, pixels - CONTENT.compared_px) // 2 // width * width
+    middle = rates[start:][: CONTENT.compared_px]
+    sides = range(math.isqrt(pixels // CONTENT.longest_side_ratio), math.isqrt(pixels * CONTENT.longest_side_ratio) + 1)
     others = [side for side in sides if side and pixels % side == 0]
     better = better_width(middle, width, others) or narrower_width(middle, width, others)
     return (better, pixels // better) if better else None
@@ -108,7 +99,7 @@ def _better_frames(source: FlatSource) -> tuple[int, int] | None:
     _, height, width = source.shape
     length = source.path.stat().st_size
     taller: list[tuple[tuple[int, int], FlatLayout]] = [
-        ((width, height * times), source.layout) for times in _MULTIPLES
+        ((width, height * times), source.layout) for times in CONTENT.tried_heights
     ]
     for size, layout in taller + likely_layouts(source.path, (width, height)):
         frames = layout.frames(length, size[1])

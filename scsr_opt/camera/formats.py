@@ -47,6 +47,7 @@ from scsr_opt.camera.flat_content import remark
 from scsr_opt.camera.magic import HDF5, NPY, ZIP, kind_of
 from scsr_opt.camera.plausibility import axis_regularity
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, Recording, checked_settings
+from scsr_opt.camera.settings import CONTENT
 from scsr_opt.camera.sources import (
     DAMAGED,
     ArraySource,
@@ -71,8 +72,6 @@ _RATES = ("white_rate", "readout_rate")
 _MASK = "bad_pixels"
 _PACKED, _LENGTH = "seq", "length"
 """Array of frames packed along time, eight to a byte, and the number of frames."""
-_ORDERS_DIFFER = 0.05
-"""Difference of the ratios of the two orders of bits that decides: it is about 1/8 where the spikes are regular."""
 _KINDS = {".npy": NPY, ".npz": ZIP, ".h5": HDF5, ".hdf5": HDF5}
 
 
@@ -252,7 +251,9 @@ def _unpacked(array: np.ndarray, frames: np.ndarray, where: str) -> np.ndarray:
     # still lie beside each other; it shows where one byte ends and the next begins, in the middle of pieces from 4 on.
     orders = [np.unpackbits(array, axis=0, count=count, bitorder=order) for order in ("big", "little")]
     found = [axis_regularity(order[min(4, count - 1) :])[0] for order in orders]
-    if abs(found[0].ratio - found[1].ratio) > _ORDERS_DIFFER and (found[0].regular or found[1].regular):
+    if abs(found[0].ratio - found[1].ratio) > CONTENT.bit_order_ratio_difference and (
+        found[0].regular or found[1].regular
+    ):
         return orders[0] if found[0].ratio < found[1].ratio else orders[1]
     warnings.warn(
         f"{where} is packed along time, and its content does not tell in which order: the first of eight frames is "

@@ -11,12 +11,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-_HEAD_BYTES = 4096
-"""Bytes of a file that are looked at: room for a text header of events, and more than any signature needs."""
-_SHORTEST_TEXT_BYTES = 12
-"""Bytes that must be printable for a file to be text: by chance they are in one of 10⁵ files, all being different."""
-_LEAST_DIFFERENT_BYTES = 10
-"""Different characters of a text: one row of pixels over and over may be printable, but is one character or two."""
+from scsr_opt.camera.settings import CONTENT
 
 NPY, ZIP, HDF5 = "a numpy array (.npy)", "a zip archive, as .npz files are", "an HDF5 file (.h5)"
 
@@ -51,7 +46,7 @@ def kind_of(path: Path) -> str | None:
     **Raises:** `OSError` if it cannot be read.
     """
     with path.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
+        head = stream.read(CONTENT.head_bytes)
     size = path.stat().st_size
     for signature, kind in _PLAIN:
         if head.startswith(signature):
@@ -176,12 +171,12 @@ def _text_kind(head: bytes, *, whole: bool) -> str | None:
         return "a web page, perhaps the error message of a download"
     if start.startswith((b"<?xml", b"<svg")):
         return "an XML file"
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff") and len(head) >= _SHORTEST_TEXT_BYTES:
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff") and len(head) >= CONTENT.shortest_text_bytes:
         zeros = head[3::2] if head[0] == 0xFF else head[2::2]
         others = head[2::2] if head[0] == 0xFF else head[3::2]
         if not any(zeros) and not others.translate(None, _PRINTABLE):
             return "a text file (UTF-16)"
-    if len(text) < _SHORTEST_TEXT_BYTES or len(set(text)) < min(_LEAST_DIFFERENT_BYTES, len(text) // 2):
+    if len(text) < CONTENT.shortest_text_bytes or len(set(text)) < min(CONTENT.least_different_bytes, len(text) // 2):
         return None
     try:
         characters = codecs.getincrementaldecoder("utf-8")().decode(text, final=whole)  # its end may be cut

@@ -18,43 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
-PIECES_FRAMES = (8, 16, 32)
-"""Frames of a piece of a line. Two spikes of a dark pixel need a long one, and light that changes a short one."""
-LEAST_EXPECTED = 200.0
-"""Coincidences that chance must make for a ratio to count: its standard deviation is then less than 0.1."""
-REGULAR_BELOW = 0.6
-"""Ratio below which lines are trains of an integrator: none along rows or columns was below 0.74 (docs/formats.md)."""
-IRREGULAR_ABOVE = 0.85
-"""Ratio above which lines are none: real recordings stay below 0.3."""
-APART_BELOW = 0.4
-"""Coincidences that chance would make along time in the dark, as a fraction of those along rows and columns: up to 0.33
-where pixels fire once in 20 to 60 frames, about 1 where they fire at random."""
-BUNCHED_FROM = 1.3
-"""Ratio from which spikes come together, as where a thin bright line passes in the dark (1.4 to 1.7), not by chance."""
-DARK_BELOW = 0.06
-"""Spikes per pixel and frame below which most pixels have at most one spike in 16 frames."""
-SATURATED_FRAMES = 5
-"""Frames one after another in which a pixel that fires in all of them is taken for saturated. Where it goes in and out
-of saturation, as where a fine texture passes in too bright light, it fires without regard to when it last did."""
-AXIS_BLOCK = (64, 112, 112)
-"""Entries along each axis that are read, from the middle, to tell the axis of time."""
-SMOOTHED_PIXELS = 33
-"""Pixels along rows whose mean is taken off before rows are compared: the slow course of light agrees anywhere."""
-LEAST_AGREEMENT = 0.15
-"""Correlation of neighbours from which on a picture shows the length of its rows (real ones: 0.19 to 0.95)."""
-LEAST_DEVIATIONS = 10.0
-"""Limit of the correlation for small sensors, in standard deviations of the correlation of unrelated pixels."""
-DISAGREEMENT = 0.4
-"""Fraction of the correlation of the right rows below which rows do not belong together: wrong ones are below 0.1."""
-
-LEAST_DROP = 0.02
-"""Correlation that is lost at least from one row to the next where rows lie beside each other: 0.05 to 0.1 in the
-recordings. Where every row is the same, it is not known how many lie beside each other."""
-
-ACROSS_BELOW, CROSSED_OVER = 0.2, 0.9
-"""Covariance of neighbours in two bytes below which bytes hold their pixels in the other order, and by how much that of
-the pixels which it makes neighbours is above it, as fractions of that of neighbours in a byte: 0.6 to 0.9 and below 0
-in the recordings, below -0.9 and above 1.1 where each of their bytes is turned round."""
+from scsr_opt.camera.settings import CONTENT
 
 
 class Regularity(NamedTuple):
@@ -66,17 +30,17 @@ class Regularity(NamedTuple):
     @property
     def certain(self) -> bool:
         """True where there is enough to count."""
-        return self.expected >= LEAST_EXPECTED
+        return self.expected >= CONTENT.least_coincidences
 
     @property
     def regular(self) -> bool:
         """True for trains of an integrator."""
-        return self.certain and self.ratio < REGULAR_BELOW
+        return self.certain and self.ratio < CONTENT.regular_below_ratio
 
     @property
     def irregular(self) -> bool:
         """True for lines that are no trains of an integrator. Where there is little to count neither is said."""
-        return self.certain and self.ratio > IRREGULAR_ABOVE
+        return self.certain and self.ratio > CONTENT.irregular_above_ratio
 
 
 UNKNOWN = Regularity(1.0, 0.0)
@@ -90,20 +54,20 @@ def regularity(blocks: Iterable[Bool[np.ndarray, "n _"]]) -> Regularity:
 
 
 def regularities(blocks: Iterable[Bool[np.ndarray, "n _"]]) -> list[Regularity]:
-    """Regularity of blocks of lines of n bits, by pieces of each of `PIECES_FRAMES`."""
-    sums = np.zeros((len(PIECES_FRAMES), 2))
+    """Regularity of blocks of lines of n bits, by pieces of each of `CONTENT.piece_frames`."""
+    sums = np.zeros((len(CONTENT.piece_frames), 2))
     for lines in blocks:
-        sums += [_of_pieces(lines, length) for length in PIECES_FRAMES]
+        sums += [_of_pieces(lines, length) for length in CONTENT.piece_frames]
     return [Regularity(float(seen / expected), float(expected)) if expected else UNKNOWN for seen, expected in sums]
 
 
 def unsaturated(lines: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "k l"]:
     """Pieces of the lines in which no bits are set in as many frames one after another as only saturation sets them."""
-    length = min(len(lines), max(PIECES_FRAMES))
+    length = min(len(lines), max(CONTENT.piece_frames))
     pieces = lines[: len(lines) // length * length].reshape(-1, length, lines.shape[1])
     pieces = np.moveaxis(pieces, 1, 0).reshape(length, -1)
     runs = pieces
-    for _ in range(min(SATURATED_FRAMES, length) - 1):
+    for _ in range(min(CONTENT.saturated_frames, length) - 1):
         runs = runs[1:] & pieces[: len(runs) - 1]
     return pieces[:, ~runs.any(axis=0)]
 
@@ -112,15 +76,15 @@ def axis_regularity(stored: Any) -> tuple[Regularity, Regularity, Regularity]:
     """Regularity along each of the three axes of an array or dataset of 0 and 1, from a block in its middle."""
     middle = [
         slice((length - size) // 2, (length - size) // 2 + size)
-        for length, size in ((n, min(n, most)) for n, most in zip(stored.shape, AXIS_BLOCK, strict=True))
+        for length, size in ((n, min(n, most)) for n, most in zip(stored.shape, CONTENT.axis_block, strict=True))
     ]
     block = np.asarray(stored[tuple(middle)]) != 0
     along = [regularity([np.moveaxis(block, axis, 0).reshape(block.shape[axis], -1)]) for axis in range(3)]
     # Nothing to be counted along an axis says nothing where it is short, or it is not the dark that spaces spikes out.
-    bright = bool(block.mean() > DARK_BELOW)
+    bright = bool(block.mean() > CONTENT.dark_below_rate)
     along = [
         Regularity(each.ratio, math.nan)
-        if not each.certain and (bright or block.shape[axis] < PIECES_FRAMES[0])
+        if not each.certain and (bright or block.shape[axis] < CONTENT.piece_frames[0])
         else each
         for axis, each in enumerate(along)
     ]
@@ -138,8 +102,8 @@ def _apart(found: tuple[Regularity, ...], axis: int) -> bool:
     others = [found[other] for other in range(3) if other != axis]
     return not found[axis].certain and all(
         each.certain
-        and REGULAR_BELOW <= each.ratio < BUNCHED_FROM
-        and found[axis].expected < APART_BELOW * each.expected
+        and CONTENT.regular_below_ratio <= each.ratio < CONTENT.bunched_from_ratio
+        and found[axis].expected < CONTENT.apart_below_ratio * each.expected
         for each in others
     )
 
@@ -175,7 +139,7 @@ def narrower_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[
     values = _fine(rates)
     values = values[: len(values) // width * width]
     variance = float((values * values).mean()) if len(values) else 0.0
-    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / max(len(values), 1) ** 0.5)
+    least = max(CONTENT.least_correlation, CONTENT.least_correlation_deviations / max(len(values), 1) ** 0.5)
     for other in sorted(others, reverse=True):
         if width % other or other == width or 8 * width > len(values) or not variance:
             continue
@@ -184,7 +148,11 @@ def narrower_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[
         )
         products = np.append(values[other:] * values[:-other], np.zeros(other)).reshape(-1, width // other, other)
         apart = products[:-1].mean(axis=(0, 2)) / variance
-        if one >= least and min(one - two, two - three, three - four) > LEAST_DROP and two >= one / 2:
+        if (
+            one >= least
+            and min(one - two, two - three, three - four) > CONTENT.least_correlation_drop
+            and two >= one / 2
+        ):
             if np.ptp(apart) < (one - two) / 2:
                 return other
     return None
@@ -202,16 +170,20 @@ def bits_reversed(rates: Shaped[np.ndarray, "n"]) -> bool:
     variance = float((values * values).mean())
     inside = float((values[:, 1:] * values[:, :-1]).mean())
     across, crossed = float((values[1:, 0] * values[:-1, 7]).mean()), float((values[1:, 7] * values[:-1, 0]).mean())
-    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / values.size**0.5) * variance
-    return inside > least and across < ACROSS_BELOW * inside and crossed - across > CROSSED_OVER * inside
+    least = max(CONTENT.least_correlation, CONTENT.least_correlation_deviations / values.size**0.5) * variance
+    return (
+        inside > least
+        and across < CONTENT.across_bytes_below_share * inside
+        and crossed - across > CONTENT.crossed_bytes_over_share * inside
+    )
 
 
 def _fine(rates: Shaped[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """Rates without their mean over some pixels of a row."""
     values = rates.astype(float)
-    half = SMOOTHED_PIXELS // 2
+    half = CONTENT.row_smoothing_px // 2
     sums = np.cumsum(np.pad(values, (half + 1, half), mode="edge"))
-    return values - (sums[SMOOTHED_PIXELS:] - sums[:-SMOOTHED_PIXELS]) / SMOOTHED_PIXELS
+    return values - (sums[CONTENT.row_smoothing_px :] - sums[: -CONTENT.row_smoothing_px]) / CONTENT.row_smoothing_px
 
 
 def better_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[int]) -> int | None:
@@ -219,7 +191,7 @@ def better_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[in
     agreement = row_agreement(rates, {width, *others})
     if width not in agreement:
         return None
-    least = max(LEAST_AGREEMENT, LEAST_DEVIATIONS / len(rates) ** 0.5)
+    least = max(CONTENT.least_correlation, CONTENT.least_correlation_deviations / len(rates) ** 0.5)
     best = max(agreement, key=lambda each: min(agreement[each]))
     one, two, three = agreement[best]
     # Further apart, rows agree less and less, and not all of a sudden.
@@ -227,7 +199,12 @@ def better_width(rates: Shaped[np.ndarray, "n"], width: int, others: Iterable[in
         return None
     # Rows that lie a quarter of the period of a regular grating apart do not correlate, but those two apart then do.
     next_one, next_but_one, _ = agreement[width]
-    return best if abs(next_one) < DISAGREEMENT * one and next_but_one > -DISAGREEMENT * one else None
+    return (
+        best
+        if abs(next_one) < CONTENT.disagreeing_correlation_share * one
+        and next_but_one > -CONTENT.disagreeing_correlation_share * one
+        else None
+    )
 
 
 def _of_pieces(lines: Bool[np.ndarray, "n m"], length: int) -> tuple[float, float]:

@@ -11,36 +11,26 @@ import math
 import numpy as np
 from jaxtyping import UInt8
 
-_SAMPLED_BYTES = 1 << 16
-"""Bytes in the middle of a file that are folded."""
-_LONGEST_BYTES = 128
-"""Longest record that is looked for."""
-_LEAST_RECORDS = 256
-"""Records that must agree: a pixel that fires in nine of ten frames is set in as many by chance once in 10^11 times."""
-_LEAST_SET = 1 / 64
-"""Fraction of the bits of a record that are always set, from which on it is one."""
-_OTHER_LENGTHS = 1 / 4
-"""Bits always set at the median length, at most, as a fraction of those at the length of the records: a saturated
-sensor has as many at any length."""
-_EXPLAINED = 1 / 2
-"""Bits always set at a common divisor with the row or the frame, as a fraction, from which on these explain them: they
-are saturated columns or pixels."""
+from scsr_opt.camera.settings import CONTENT
 
 
 def record_length(data: UInt8[np.ndarray, "n"], row_bits: int, frame_bits: int) -> int | None:
     """Length in bytes of the records that bytes consist of; None if there are none, or rows and frames explain them."""
-    start = max(0, len(data) - _SAMPLED_BYTES) // 2
-    sample = np.asarray(data[start : start + _SAMPLED_BYTES])
-    lengths = range(1, min(_LONGEST_BYTES, len(sample) // _LEAST_RECORDS) + 1)
+    start = max(0, len(data) - CONTENT.record_sample_bytes) // 2
+    sample = np.asarray(data[start : start + CONTENT.record_sample_bytes])
+    lengths = range(1, min(CONTENT.longest_record_bytes, len(sample) // CONTENT.least_records) + 1)
     if len(lengths) < 2:
         return None
     found = {length: _always_set(sample, length) for length in lengths}
     best = max(found, key=lambda length: found[length])  # the shortest one of its multiples
-    if found[best] < _LEAST_SET or np.median(list(found.values())) > _OTHER_LENGTHS * found[best]:
+    if (
+        found[best] < CONTENT.record_set_share
+        or np.median(list(found.values())) > CONTENT.other_lengths_set_share * found[best]
+    ):
         return None
     bits = np.unpackbits(sample, bitorder="little")
     explained = (_always_set(bits, math.gcd(8 * best, period), 1) for period in (row_bits, frame_bits))
-    return None if max(explained) > _EXPLAINED * found[best] else best
+    return None if max(explained) > CONTENT.explained_set_share * found[best] else best
 
 
 def _always_set(values: UInt8[np.ndarray, "n"], length: int, bits: int = 8) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from scsr_opt._settings import Settings
-from scsr_opt.camera.plausibility import PIECES_FRAMES
+from scsr_opt.camera.settings import CONTENT
 from scsr_opt.camera.sources import FlatSource
 
 
@@ -34,7 +34,7 @@ def trains_of(
     """Bits at some places of 32 frames one after another (more of small ones), at some moments of a file."""
     frames = source.shape[0]
     several = max(1, settings.places // source.layout.frame_bits(source.shape[1]))
-    count = min(frames, max(PIECES_FRAMES) * several)
+    count = min(frames, max(CONTENT.piece_frames) * several)
     for start in np.unique(np.linspace(0, frames - count, min(settings.moments, frames // count)).astype(int)):
         yield _some_bits(source, int(start), count, settings)
 

@@ -1,4 +1,4 @@
-"""Makes the picture at the head of the README: python scripts/initial_image.py docs/initial_image.png"""
+"""Makes the picture at the head of the README: python scripts/first_picture.py docs/first_picture.png"""
 
 import sys
 import tempfile

@@ -1,4 +1,4 @@
-"""What is handed in may be overwritten afterwards, and what is handed out may be written to."""
+"""Arguments may be overwritten after a call, and results may be written to."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -77,7 +77,7 @@ def undisturbed() -> list[Solution]:
 
 @pytest.mark.parametrize("as_recording", [False, True])
 def test_sequence_arrays_overwritten_on_the_way_change_no_picture(undisturbed, as_recording):
-    """Neither what was handed in nor what was handed out is looked at again."""
+    """Neither arguments nor results are read again after the call."""
     spikes, given = moving_spikes(), options()
     bad = given["bad_pixels"]
     recording = Recording.from_array(spikes, bad_pixels=given.pop("bad_pixels")) if as_recording else spikes
@@ -123,7 +123,7 @@ def test_solution_fields_are_multiplied_in_place(undisturbed):
 
 
 def test_reconstruct_pictures_of_stages_are_writable_and_the_motion_a_copy():
-    """A motion that is handed in is handed out with the solution, and is not the caller's own."""
+    """A motion that is given is part of the solution as a copy, not the caller's own array."""
     motion = Motion.of_velocity(np.full((2, 12, 16), 0.05, np.float32))
     solution = reconstruct(
         moving_spikes(), scale=2, motion=motion, gain=None, strength=0.003, keep_images=True, shortcuts=Shortcuts.none()

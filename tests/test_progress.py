@@ -1,4 +1,4 @@
-"""What may be handed in as `progress` is looked at before the work begins."""
+"""The argument `progress` is checked before the work begins."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""What is taken for a number where a prior or a solver asks for one."""
+"""Values that a prior or a solver accepts as a number."""
 
 import math
 

@@ -28,10 +28,10 @@ PEERS: dict[str, list[str]] = {
     "pyproximal": ["pyproximal==0.13.0", "pylops==2.8.0"],
     "deepinv": ["deepinv==0.5.0", "torch==2.13.0", "torchvision==0.28.0"],
 }
-"""What each peer's environment is made of; this project's own where nothing is named."""
+"""Packages of each peer's environment; the list is empty for a peer that runs in the project's own."""
 
 SHARED = ["numpy==2.4.6", "scipy==1.17.1", "jaxtyping==0.3.11"]
-"""What the problems themselves need."""
+"""Packages that the problems themselves need."""
 
 OURS = "scsr_opt"
 

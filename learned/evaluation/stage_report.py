@@ -226,7 +226,7 @@ class Comparison:
 
 
 FILES = ("stages.txt", "stages.json", "stages.png")
-"""What `Comparison.write` writes."""
+"""Names of the files that `Comparison.write` writes."""
 
 
 def shown_stages(count: int, most: int = 6) -> tuple[int, ...]:

@@ -24,7 +24,7 @@ from scsr_opt._files import whole_file
 from scsr_opt.errors import InputError
 
 FORMAT = 1
-"""Of the file; a reader refuses others."""
+"""Number of the file's format; a reader refuses others."""
 SHIPPED = Path(__file__).parents[1] / "checkpoints"
 """Where the shipped weights are."""
 LARGEST = 20_000_000

@@ -15,7 +15,7 @@ def leaf_by_leaf(step: Callable[..., Tree], *given: Any) -> Tree:
     kernel of its own and written to memory, and so is whatever leads to it: XLA for CPUs fuses a root or a division
     with one user only, and makes no kernel with two results. Calculated twice it costs arithmetic, of which there is
     plenty: a dual step of Huber-TV passes over 12 pictures instead of 19, in 0.6 to 0.8 of the time
-    (docs/measurements.md).
+    (docs/decisions/0010).
     """
     leaves, tree = jax.tree.flatten(step(*given))
     for k in range(1, len(leaves)):

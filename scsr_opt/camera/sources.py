@@ -23,7 +23,7 @@ from jaxtyping import Shaped, UInt8
 from scsr_opt.errors import InputError
 
 DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError)
-"""What the readers of numpy (it parses a header as Python), zipfile and h5py raise on a damaged file."""
+"""Errors that the readers of numpy (it parses a header as Python), zipfile and h5py raise on a damaged file."""
 
 
 def as_spikes(array: Shaped[np.ndarray, "..."], where: str) -> UInt8[np.ndarray, "..."]:

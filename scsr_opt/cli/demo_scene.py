@@ -23,7 +23,7 @@ SCALE = 4
 FRAMES = 101
 KEY = FRAMES // 2
 NAME = "camera"
-"""Of the picture in `skimage.data`."""
+"""Name of the picture in `skimage.data`."""
 DRIFT = (0.03, 0.14)
 """Sensor pixels per frame, down and right: about 14 sensor pixels from the first frame to the last."""
 ROTATION = 0.0008

@@ -35,7 +35,7 @@ def inverse(
     Solved in closed form where the motion is affine, else by fixed-point iteration from q = p. The error shrinks by
     ‖∇d‖ in each iteration, the relative change of displacement from pixel to pixel: well under ½ where a motion is
     smooth. Where it is not, as at motion boundaries, the point is meaningless; of a dense estimate that can be a third
-    of the pixels 50 frames away (docs/measurements.md, "Sequences of key frames").
+    of the pixels 50 frames away (docs/decisions/0019).
 
     **Arguments:** `velocity`, `acceleration`: sensor pixels per frame and per frame². `after`: frames from the key
     frame. `every`: only each `every`-th row and column is solved for.

@@ -168,8 +168,8 @@ class ParametricSettings(Settings):
     agreeing_share: float = 0.5
     """Share of the scene's points whose residual sets the scale of outliers."""
     agreeing_share_region: float = 0.2
-    """The same share for a region that was found because it contradicts another motion: much of it may belong to other
-    surfaces."""
+    """Share of the points, for a region that was found because it contradicts another motion: much of such a region may
+    belong to other surfaces."""
     outlier_scale: float = 3.0
     """Squared residual, in units of the agreeing points' largest, at which a point's weight begins to fall (Cauchy)."""
     sparse_step_divisor: int = 3
@@ -391,4 +391,4 @@ class MotionSettings(Settings):
 
 
 DEFAULTS = MotionSettings()
-"""What is used where no settings are given."""
+"""Settings that are used where none are given."""

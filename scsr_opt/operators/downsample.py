@@ -49,7 +49,7 @@ class Downsample(LinearOperator):
         rows, columns = self.output_shape
         # Rows first: the sum along the contiguous axis is the slow one, and is then s times shorter. Behind a barrier,
         # or XLA for CPUs computes it anew for each column; and by slices, as it sums short rows one by one
-        # (docs/measurements.md).
+        # (docs/decisions/0010).
         by_rows = jax.lax.optimization_barrier(x.reshape(rows, self.scale, columns * self.scale).sum(axis=1))
         columns_apart = (by_rows[:, k :: self.scale] for k in range(self.scale))
         return sum(columns_apart, start=jnp.zeros((), x.dtype)) / self.scale**2

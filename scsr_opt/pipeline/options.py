@@ -30,7 +30,7 @@ from scsr_opt.solvers.solver import Solver
 @dataclass(frozen=True, kw_only=True)
 class Shortcuts:
     """Work that is left out where a scene does not need it. All are on by default and change a picture by less than
-    its noise (docs/measurements.md); `Shortcuts.none()` does all of the work, to compare with.
+    its noise (docs/decisions/0019); `Shortcuts.none()` does all of the work, to compare with.
 
     **Fields:**
     - `simple_motion`: a richer motion is not estimated where a simpler one contradicts nothing, and what moves apart

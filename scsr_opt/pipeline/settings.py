@@ -103,7 +103,8 @@ class OuterLoopSettings(Settings):
     """Distance, in tolerances of the solver, from where the quadratic touches the data term to the picture, above which
     exposures are corrected again. With one step size for each pixel pictures are as good as at 10 with one for all."""
     tile_correction_tolerances: float = 40.0
-    """The same distance within a tile, which is lost in the mean over the picture."""
+    """Distance, in tolerances, within a tile above which its exposures are corrected: the mean over the picture hides
+    it."""
     few_rows_share: float = 0.5
     """Share of the rows of tiles up to which the far tiles alone are corrected: of more rows hardly a sample is left
     out."""

@@ -33,7 +33,7 @@ class Analysis(Prior[State], Generic[State]):
     the fast gradient projection, for what has smaller ones (FGP; Beck and Teboulle, 2009, "Fast gradient-based
     algorithms for constrained total variation image denoising and deblurring"). FGP itself, steps of 1 with momentum
     from each to the next, has a proof that long steps with projections between them have not; five of its steps left
-    up to half as many outer iterations more than four of these (docs/measurements.md).
+    up to half as many outer iterations more than four of these (docs/decisions/0011).
 
     With a strength w(p) for each pixel instead of λ (`separable` priors) it is f − wK*p, and dual steps are as long as
     a bound of K diag(w) K* on each value of the field allows (`bounds`; Pock and Chambolle, 2011, "Diagonal

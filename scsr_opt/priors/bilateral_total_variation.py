@@ -53,7 +53,7 @@ class BilateralTotalVariation(Analysis[Array]):
     @property
     def relative_strength(self) -> float:
         """One over 2/π Σ α^(|l|+|m|) |(l, m)|, the cost of a straight edge, mean over its directions: 0.25 at radius 2
-        and α = 0.6. Strengths that gave the best pictures were 1.1 to 1.5 times as much (docs/measurements.md)."""
+        and α = 0.6. Strengths that gave the best pictures were 1.1 to 1.5 times as much (docs/decisions/0015)."""
         return math.pi / 2 / sum(weight * math.hypot(rows, columns) for rows, columns, weight in self._shifts)
 
     @property

@@ -59,7 +59,7 @@ class HuberTotalVariation(Analysis[Dual]):
         field = gradient(image)
         length = jnp.sqrt(jnp.maximum(field.down**2 + field.right**2, self.knee**2))
         # Behind a barrier, so that XLA for CPUs keeps nothing but the lengths in memory, and computes the differences
-        # anew where they are divided: a third of the time. Times reciprocals it would be longer (docs/measurements.md).
+        # anew where they are divided: a third of the time. Times reciprocals it would be longer (docs/decisions/0010).
         image, length = jax.lax.optimization_barrier((image, length))
         field = gradient(image)
         return gradient_adjoint(Dual(field.down / length, field.right / length))

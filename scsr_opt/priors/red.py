@@ -53,7 +53,7 @@ class RED(Prior[Array]):
     def relative_strength(self) -> float:
         """1.5/σ: λ has no unit here, and the smaller the noise level of a denoiser, the less it takes away. Strengths
         that gave the best pictures were 0.7 to 0.9 times that with the bilateral filter and 1.4 to 2.5 times with
-        non-local means, σ from 0.01 to 0.05 (docs/measurements.md)."""
+        non-local means, σ from 0.01 to 0.05 (docs/decisions/0015)."""
         return 1.5 / self.sigma
 
     @compiled

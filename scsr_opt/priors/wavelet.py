@@ -46,7 +46,7 @@ class WaveletL1(Analysis[Array]):
     def relative_strength(self) -> float:
         """π / (1 − 2^(−J)): a straight edge along rows or columns costs 2^(−j−2) on level j, and 4/π of that in the
         mean over its directions, but for the bands of both. Strengths that gave the best pictures were 0.9 to 1.1 times
-        as much (docs/measurements.md)."""
+        as much (docs/decisions/0015)."""
         return math.pi / (1 - 0.5**self.levels)
 
     @property

@@ -29,7 +29,7 @@ class ConjugateGradients(LinearSolve):
     """A fixed number of steps of conjugate gradients (Hestenes and Stiefel, 1952), unrolled.
 
     As δ is the change of a picture from one outer iteration to the next, the start is warm and few steps do. There is
-    no preconditioner (docs/measurements.md has the figures).
+    no preconditioner (docs/decisions/0011).
     """
 
     steps: int = 3

@@ -64,8 +64,8 @@ def run(
 
     A value that is not finite ends the run at once; the picture before it is returned.
 
-    **Errors:** `InputError` for a state of another solver or picture size, a first picture (or that of a state) that is
-    not finite, or a prior that the solver cannot use.
+    **Errors:** `InputError` for a state of another solver or picture size, an initial image (or that of a state) that
+    is not finite, or a prior that the solver cannot use.
     """
     ready()
     check_progress(progress)
@@ -152,7 +152,7 @@ def _check_finite(solver: Solver, image: Float[Array, "H W"]) -> None:
     wrong = int(jnp.count_nonzero(~jnp.isfinite(image)))
     if wrong:
         raise InputError(
-            f"{type(solver).__name__} was given a first picture, or a state, with {wrong} values that are not finite; "
+            f"{type(solver).__name__} was given an initial image, or a state, with {wrong} values that are not finite; "
             "begin with a finite one."
         )
 

@@ -75,7 +75,7 @@ class Solver(eqx.Module, Generic[State]):
 
     @abc.abstractmethod
     def init(self, problem: Problem, image: Float[Array, "H W"]) -> State:
-        """The state before the first iteration, from a first picture."""
+        """The state before the first iteration, from an initial image."""
 
     def warm(self, problem: Problem, state: State) -> State:
         """The state before the first iteration, from that of a run on a similar problem."""

@@ -47,7 +47,7 @@ class Separable(StepSize):
     (De Pierro, 1995, "A modified expectation maximization algorithm for penalized likelihood estimation in emission
     tomography"; Erdogan and Fessler, 1999, "Ordered subsets algorithms for transmission tomography"). One application
     of BᵀMB finds it. L is that of the places seen most: where less was seen, steps of 1/L are shorter than they need to
-    be, and a car that passes took twice as many of them (docs/measurements.md). The proximal step is then that of a
+    be, and a car that passes took twice as many of them (docs/decisions/0011). The proximal step is then that of a
     `separable` prior; with one that is not, and where nothing moves, so that all places are seen alike, it is
     `NormBound`.
 

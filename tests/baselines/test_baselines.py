@@ -1,4 +1,4 @@
-"""What all baselines have in common, and what each of them claims to do."""
+"""Properties that all baselines have in common, and those that each of them claims."""
 
 import re
 from functools import cache

@@ -79,7 +79,7 @@ def test_small_sensors_and_none_that_fires(shape):
 
 @pytest.mark.parametrize("side", [8, 17, 32])
 def test_a_small_sensor_is_not_taken_to_have_a_pattern(side):
-    """Of few squares all may be texture: without a minimum a third of such parts of 8×8 pixels had one."""
+    """All squares may be texture where there are few: without a minimum a third of such parts of 8×8 pixels had one."""
     for picture in (data.grass(), data.brick(), data.gravel()):
         made = simulate(Static(picture[: 2 * side, : 2 * side] / 255), scale=2, sensor=Sensor(photons=1000.0), seed=1)
         assert (gain_at_rest(made.spikes, white_rate=0.6) == 1).all()
@@ -87,7 +87,7 @@ def test_a_small_sensor_is_not_taken_to_have_a_pattern(side):
 
 @pytest.mark.parametrize("picture", [data.brick(), data.gravel(), data.camera()], ids=["brick", "gravel", "camera"])
 def test_a_white_rate_that_is_too_low_makes_no_pattern(picture):
-    """What is brighter than white is unlike all that the network has seen."""
+    """Surfaces brighter than white are unlike all that the network has seen."""
     made = simulate(Static(picture[:160, :160] / 255), scale=2, sensor=Sensor(photons=1000.0), seed=1)
     for white_rate in (0.06, 0.15, 0.3):
         assert (gain_at_rest(made.spikes, white_rate=white_rate) == 1).all()

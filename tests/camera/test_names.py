@@ -1,4 +1,4 @@
-"""What `scsr_opt.camera` says it has, whatever was imported before."""
+"""Names that `scsr_opt.camera` lists, whatever was imported before."""
 
 import subprocess
 import sys

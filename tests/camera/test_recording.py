@@ -61,7 +61,7 @@ def in_order(spikes: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64])
 @pytest.mark.parametrize("laid_out", [in_order, np.asfortranarray, lambda spikes: in_order(spikes.T).T])
 def test_from_array_overwritten_afterwards_stays_what_it_was(dtype, laid_out):
-    """Pictures that are made later are those of the spikes that were handed in."""
+    """Pictures that are made later are those of the spikes as they were given."""
     spikes, bad = laid_out(some_spikes().astype(dtype)), np.eye(5, 7, dtype=bool)
     recording = Recording.from_array(spikes, bad_pixels=bad)
     spikes[:], bad[:] = 1, True

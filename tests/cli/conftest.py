@@ -1,4 +1,4 @@
-"""What the tests of the command share: a recording, the command itself, and a stand-in for the work."""
+"""Fixtures that the tests of the command share: a recording, the command itself, and a stand-in for the work."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What every command that writes has in common: nothing is overwritten unasked, and odd names are names."""
+"""Rules for every command that writes: nothing is overwritten unasked, and odd names are names."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What JAX compiles while a test runs."""
+"""Fixture: the programs that JAX compiles while a test runs."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,4 +1,4 @@
-"""What is called outside `jit` compiles at its first call, and nothing at the calls that follow."""
+"""A function called outside `jit` compiles at its first call, and nothing at the calls that follow."""
 
 from collections.abc import Callable
 from typing import Any

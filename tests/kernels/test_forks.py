@@ -1,4 +1,4 @@
-"""A forked process is told, instead of hanging, that JAX cannot be used there; a spawned one works."""
+"""A forked process gets an error, instead of hanging, since JAX cannot be used there; a spawned one works."""
 
 import os
 import subprocess

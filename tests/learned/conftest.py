@@ -1,4 +1,4 @@
-"""What the tests of several networks have in common."""
+"""Fixtures that the tests of several networks have in common."""
 
 import equinox as eqx
 import jax

@@ -103,7 +103,7 @@ def test_sharpening_starts_as_no_change():
 
 @pytest.mark.parametrize("change", ["way", "spread", "nearness", "near", "white_rate"])
 def test_sharpening_hears(change):
-    """Of what a picture is sharpened by, each changes the result, and stays a finite number at its extremes."""
+    """Each input that a picture is sharpened by changes the result, which stays finite at its extremes."""
     some = eqx.tree_at(lambda n: n.output.weight, layers(), replace_fn=lambda w: w + 0.1)
     given, white_rate = seen(0.1), jnp.float32(0.6)
     before = sharpened(some, given, white_rate)

@@ -67,7 +67,7 @@ def test_without_offsets_it_is_a_convolution():
 
 
 def one_tap(down: float, right: float, shown: float = 1.0) -> float:
-    """What a 1×1 kernel of 1 reads of [[1, 2], [3, 4]] at (0, 0) plus the offset."""
+    """Value that a 1×1 kernel of 1 reads of [[1, 2], [3, 4]] at (0, 0) plus the offset."""
     features = jnp.asarray([[[1.0, 2.0], [3.0, 4.0]]])
     offset = jnp.zeros((2, 2, 2)).at[:, 0, 0].set(jnp.asarray([down, right]))
     mask = jnp.full((1, 2, 2), shown)

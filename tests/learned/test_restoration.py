@@ -1,4 +1,4 @@
-"""What a network makes of solutions, and the solve about it."""
+"""Solutions that a network restores, and the solve around it."""
 
 import functools
 
@@ -51,7 +51,7 @@ def silent(tmp_path) -> CentredOptimizer:
 
 @pytest.mark.parametrize("shape", [(8, 12), (9, 14), (3, 5)])
 def test_any_size_of_picture(shape):
-    """What is not a multiple of the folding goes on as its last row and column do."""
+    """A picture whose size is no multiple of the folding is continued by its last row and column."""
     image = jnp.asarray(np.random.default_rng(0).random(shape), jnp.float32)
     found = restored(net(), image, 1e-3)
     assert found.shape == shape
@@ -153,7 +153,7 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
 
 
 def test_what_the_network_says_comes_through(recording, silent, tmp_path):
-    """Of bars as wide as a sensor pixel, which the data contradict, some is left: both are heard."""
+    """Bars as wide as a sensor pixel, which the data contradict, stay in part: network and data both count."""
     louder = eqx.tree_at(
         lambda n: n.output.bias, silent.net, 0.4 * jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), 4)[:, None, None]
     )

@@ -78,7 +78,7 @@ def test_every_scale_gives_a_picture_a_stage(scale: int, working_scale: int):
 
 
 def test_the_stages_follow_each_other(net: SpikeSRNet, spikes: jax.Array):
-    """Encoder, X^(0) and Eq. 6 by hand; and a start that is handed in takes the place of X^(0)."""
+    """Encoder, X^(0) and Eq. 6 by hand; and a start that is given takes the place of X^(0)."""
 
     @eqx.filter_jit
     def by_hand(net: SpikeSRNet, spikes: jax.Array):

@@ -44,7 +44,7 @@ def registered(monkeypatch):
 
 
 class Killed(NoProgress):
-    """Interrupts the run after so many steps."""
+    """Interrupts the run after the given number of steps."""
 
     def __init__(self, after: int):
         self.left = after

@@ -111,7 +111,7 @@ def test_default_model_gives_the_picture_of_reconstruct(recording, scale, name):
 
 
 def test_what_is_posed_is_what_reconstruct_solves(posed, solution):
-    """The same strength, the same objective at its picture, and from there nothing is left to do."""
+    """Strength and objective are those of `reconstruct`, and from its picture nothing is left to do."""
     assert float(posed.strength) == solution.diagnostics.strength
     reading = read(posed, jnp.asarray(solution.image))
     # The same sums in another program: rounding of float32 in a sum of some thousand terms of one sign.

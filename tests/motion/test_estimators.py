@@ -261,7 +261,7 @@ def test_settings_out_of_range(make):
 
 
 def test_a_fixed_pattern_that_is_known_does_not_hold_the_motion_back():
-    """What rests on the sensor pulls a velocity towards zero: with the gains given, as little as without a pattern."""
+    """A fixed pattern pulls a velocity towards zero: with the gains given, as little as without a pattern."""
     picture = gaussian_filter(np.random.default_rng(3).random((128, 128)), 3)
     picture = 0.5 + 0.1 * (picture - picture.mean()) / picture.std()
     scene = Translation(np.clip(picture, 0, 1), (0.06, -0.04), key=32)

@@ -290,7 +290,7 @@ def test_exposure_term_touches_the_exact_one_from_above():
 
 
 def test_a_correction_goes_on_from_another_where_pictures_differ():
-    """Of three pieces, sorted by row, those are visited that see the rows that have changed."""
+    """Pieces of samples, three of them sorted by row, are visited where they see the rows that have changed."""
     samples, path = some_samples(768, exposure=5), wandering(0.4)
     samples = subset(samples, np.argsort(samples.row, kind="stable"))
     placed = placed_samples(samples, path, positions=3)
@@ -440,7 +440,7 @@ def test_lipschitz_bound_is_above_the_largest_eigenvalue_and_not_far(scale):
 @pytest.mark.parametrize("blurred", [False, True])
 @pytest.mark.parametrize("scale", [1, 2, 3])
 def test_at_rest_the_grid_of_the_sensor_is_enough(scale, blurred):
-    """The same f, its gradient and its bound, whether U is taken everywhere or where samples lie only."""
+    """f, its gradient and its bound do not depend on whether U is taken everywhere or only where samples lie."""
     shape, samples = (4 * scale, 5 * scale), some_samples()
     path = in_double_precision(trajectory_of(Motion.none(4, 5), key=0, start=0, stop=9))
     optics = Blur.gaussian(shape, 0.8) if blurred else None

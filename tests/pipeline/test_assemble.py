@@ -74,7 +74,7 @@ def sums(placed: PlacedSamples, image: jax.Array) -> jax.Array:
     return 0.5 * jnp.sum(placed.weight * (seen - placed.value) ** 2)
 
 
-def test_assemble_gives_prior_strength_and_the_first_picture(problem, spikes):
+def test_assemble_gives_prior_strength_and_the_initial_image(problem, spikes):
     assembly = assemble_task(task_of(spikes, SCALE, None, options()))
     assert isinstance(problem.prior, HuberTotalVariation) and float(problem.strength) == pytest.approx(STRENGTH)
     assert problem.start is not None and problem.start.shape == problem.data.shape == (48, 48)

@@ -46,7 +46,7 @@ def test_measure_each_exposure_has_the_positions_that_its_motion_needs(spikes):
 
 
 def missed(positions: int, moved: float) -> float:
-    """What positions miss of an exposure, as a share of the light: of pictures with power ν⁻² up to 2 cycles per sensor
+    """Share of the light of an exposure that positions miss, for pictures with power ν⁻² up to 2 cycles per sensor
     pixel, behind an aperture of one."""
     cycles = np.linspace(0.02, 2, 400)
     start, stop, number = jnp.asarray([-moved / 2]), jnp.asarray([moved / 2]), jnp.asarray([positions])

@@ -1,4 +1,4 @@
-"""What `reconstruct` can be asked for beside its defaults: each option does what it is for, on small recordings."""
+"""Options of `reconstruct` beside its defaults: each does what it is for, on small recordings."""
 
 import re
 from dataclasses import replace
@@ -159,8 +159,8 @@ def test_blind_gains_mend_the_motion():
 
 
 def test_gains_behind_a_robust_fit_do_not_mislead():
-    """What counted little for the picture has as little say in the gains. Measured: 31.52 dB without gains, 31.55 with
-    them; 30.4 where all samples had the same say."""
+    """Samples that counted little for the picture count as little for the gains. Measured: 31.52 dB without gains,
+    31.55 with them; 30.4 where all samples had the same say."""
     scene = Translation(data.camera()[100:220, 150:270] / 255, (0.1, 0.24))
     made = simulate(scene, scale=2, sensor=Sensor(fixed_pattern=0.05), seed=0)
     motion = Motion.constant((0.05, 0.12), made.spikes.shape[1:])
@@ -172,7 +172,7 @@ def test_gains_behind_a_robust_fit_do_not_mislead():
 
 
 def test_reconstruct_gains_at_rest_are_for_what_rests(made, monkeypatch):
-    """What is taken for gain in a still scene says nothing of a pixel that something passes."""
+    """A gain found in a still scene says nothing of a pixel that something passes."""
     velocity = np.zeros((2, 24, 24), np.float32)
     velocity[1, :12] = 0.2
     handed_on = []

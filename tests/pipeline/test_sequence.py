@@ -177,7 +177,7 @@ def test_a_sequence_that_nobody_wants_any_more_ends():
 
 
 def test_reconstruct_sequence_motion_that_a_solve_changes_is_followed_anew():
-    """A fixed pattern rests while the scene moves, and is told from it only by the first picture."""
+    """A fixed pattern rests while the scene moves, and only the first picture can tell the two apart."""
     made = simulate(
         Translation(PICTURE, velocity=(0.3, -0.4), key=55), scale=SCALE, frames=121,
         sensor=Sensor(photons=1000.0, fixed_pattern=0.1), seed=3,

@@ -1,4 +1,4 @@
-"""What is skipped is not missed: scenes made to fool it, each beside the full computation."""
+"""Shortcuts do not change the picture: scenes made to mislead them, each beside the full computation."""
 
 from collections.abc import Callable
 from typing import Any
@@ -142,7 +142,7 @@ def test_shortcuts_few_positions_along_exposures_leave_a_pan_as_sharp(scale, vel
 
 
 def test_reconstruct_pan_towards_the_light_is_no_lamp():
-    """Of most pixels what they see gets brighter, by 29 % in all."""
+    """Most pixels see a surface that gets brighter, by 29 % in all."""
     bright = data.gravel()[40:200, :400] / 255 * np.linspace(0.2, 1, 400)
     scene = Changing(lambda t: bright[:, 60 + int(t) : 220 + int(t)])
     made = simulate(scene, scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=6)
@@ -223,7 +223,7 @@ def test_scene_summary_windows_of_what_rests_are_at_rest():
 
 @pytest.mark.parametrize("loss", [Huber(), pytest.param(Welsch(), marks=pytest.mark.slow)])
 def test_shortcuts_robust_loss_judges_the_same_intervals(loss):
-    """Of a scene at rest whose light drops for 15 frames in a part of it: merged, they would be one mean."""
+    """A scene at rest loses light for 15 frames in a part of it; merged, these intervals would be one mean."""
 
     def dimmed(t: float) -> np.ndarray:
         picture = WALL.copy()
@@ -258,8 +258,8 @@ def test_what_is_in_no_layer_is_not_taken_for_still():
 
 
 def test_measure_merged_at_rest_leaves_the_problem_as_it_is():
-    """Of a scene at rest the merged samples have the M and c of all intervals, but for what is put in at rounding: the
-    weighted mean of intervals that follow one another is the interval from the first to the last spike."""
+    """Merged samples of a scene at rest have the M and c of all intervals, but for rounding: the weighted mean of
+    intervals that follow one another is the interval from the first to the last spike."""
     made = simulate(Static(WALL), scale=SCALE, frames=FRAMES, sensor=Sensor(photons=1000.0), seed=5)
     clip = Clip(np.asarray(made.spikes), KEY, 0.6, None)
     rest = Motion.none(80, 80)
@@ -317,7 +317,7 @@ def test_summarise_scene_false_alarms_of_texture_are_as_rare_as_said():
 
 @pytest.mark.parametrize("rate", [0.25, 0.3, 0.5])
 def test_scene_summary_plain_scene_is_uniform_however_regular_its_spikes(rate):
-    """Of a pixel that fires in every second frame the number of spikes is known to half of one, not to its noise."""
+    """The number of spikes of a pixel that fires in every second frame is known to half of one, not to its noise."""
     sensor = Sensor(photons=1000.0)
     scene = Static(np.full((128, 128), rate / sensor.white_rate))
     spikes = simulate(scene, scale=SCALE, frames=FRAMES, sensor=sensor, seed=3).spikes
@@ -348,7 +348,7 @@ def test_summarise_scene_few_frames_do_not_tell_saturation():
     [(TileKind.DARK, SceneSummarySettings().dark_spikes / 64, 3 / 64), (TileKind.SATURATED, SATURATED_SHARE, 0.95)],
 )
 def test_summarise_scene_false_alarms_at_the_limits_are_as_rare_as_said(kind, limit, beyond):
-    """The false-alarm rate of 0.1 % holds at the limit itself; what is well beyond it is told."""
+    """The false-alarm rate of 0.1 % holds at the limit itself; a change well beyond it is reported."""
     rng, frames = np.random.default_rng(2), 64
 
     def share(rate: float) -> float:

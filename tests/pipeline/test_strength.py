@@ -63,7 +63,7 @@ def at_rest(
     *,
     skip: bool = True,
 ) -> ValidatedStrength:
-    """What is found where nothing moves; with `skip` intervals are merged, and sums used again."""
+    """Strength found where nothing moves; with `skip` intervals are merged, and sums used again."""
     motion = Motion.none(*clip.shape)
     measurements = measure(clip, motion, scale=SCALE, sampling=sampling, merged_intervals=skip)
     search = StrengthSearch(

@@ -23,7 +23,7 @@ MOMENTS = np.arange(0, FRAMES + 3, SPACING)
 
 
 def seen_by(visible: np.ndarray, *, out: np.ndarray | None = None) -> Trajectory:
-    """What the pixels (n, 1, w) see at moments four frames apart; `out` of the picture or not."""
+    """Trajectory of what the pixels (n, 1, w) see at moments four frames apart; `out` of the picture or not."""
     moments, height, width = visible.shape
     position = np.broadcast_to(np.indices((height, width)), (moments, 2, height, width)).astype(np.float32)
     if out is not None:

@@ -18,7 +18,7 @@ KNEE, DECAY = 0.1, 0.6
 
 
 class Case(NamedTuple):
-    """A prior with so many iterations; K as a matrix made some other way; φ and its proximal step in NumPy."""
+    """A prior with a given number of iterations; K as a matrix made another way; φ and its proximal step in NumPy."""
 
     prior: Callable[[int], Analysis]
     matrix: Callable[[Any, tuple[int, int]], np.ndarray]

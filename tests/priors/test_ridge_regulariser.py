@@ -152,7 +152,7 @@ def test_what_starts_anew_is_accurate(bounded):
 
 @pytest.mark.parametrize("times", [0.5, 5.0, 50.0])
 def test_a_proximal_step_leaves_no_more_than_its_accuracy(times):
-    """Of the distance to the optimum; the start is the picture before noise came to it."""
+    """Accuracy is a share of the distance to the optimum; the start is the picture before noise was added."""
     prior = RidgeRegulariser.load()
     noisy, start = picture() + jnp.asarray(0.05 * noise(10, 40, 40), jnp.float32), picture()
     strength = times / prior.curvature

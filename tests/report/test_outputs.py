@@ -1,4 +1,4 @@
-"""What holds for every file that is written: odd names, links, and places where nothing can be written."""
+"""Rules for every file that is written: odd names, links, and places where nothing can be written."""
 
 import os
 import resource

@@ -280,15 +280,15 @@ def test_a_state_of_another_solver_or_size_is_refused(case):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_first_picture_that_is_not_finite_is_refused(value, case):
+def test_an_initial_image_that_is_not_finite_is_refused(value, case):
     """Nothing finite could be returned."""
     image = case.start.at[2, 3].set(value)
-    with pytest.raises(InputError, match="FISTA was given a first picture, or a state, with 1 values"):
+    with pytest.raises(InputError, match="FISTA was given an initial image, or a state, with 1 values"):
         run(FISTA(), case.problem, image)
     state = FISTA().init(case.problem, image)
-    with pytest.raises(InputError, match="FISTA was given a first picture, or a state, with 1 values"):
+    with pytest.raises(InputError, match="FISTA was given an initial image, or a state, with 1 values"):
         run(FISTA(), case.problem, case.start, state=state)
-    with pytest.raises(InputError, match="FISTA was given a first picture, or a state, with 1 values"):
+    with pytest.raises(InputError, match="FISTA was given an initial image, or a state, with 1 values"):
         run(FISTA(), case.problem, case.start, similar=state)
 
 

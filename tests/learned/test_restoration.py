@@ -140,12 +140,13 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     assert {"first solve", "restoring"} <= set(found.diagnostics.seconds)
     λ = first.diagnostics.strength
     assert λ is not None and found.diagnostics.strength == pytest.approx(2 * λ)
-    # The objective falls but for rounding: f is the small difference of two numbers as large as ½ e, known to a last
-    # digit of that before and after a step.
+    # The objective falls but for rounding: f is the small difference of two sums over n pixels as large as ½ e, each a
+    # walk of n roundings with a standard deviation of √n/6 last digits, three of which are allowed.
     # It begins with the data term at the first solution.
     objectives = np.array([stage.objective for stage in found.stages[count:]])
-    rounding = 2 * np.spacing(np.float32(0.5 * reference_problem(reference_task(recording, scale=2)).plain.energy))
-    assert rounding < 1e-4 * objectives[0]
+    plain = reference_problem(reference_task(recording, scale=2)).plain
+    rounding = 0.5 * plain.target.size**0.5 * float(np.spacing(np.float32(0.5 * plain.energy)))
+    assert rounding < 1e-3 * objectives[0]
     assert objectives[0] <= first.stages[-1].data + rounding
     assert (np.diff(objectives) <= rounding).all()
     # What was held back by the prior is not paid for twice: the picture comes nearer to the data.

@@ -13,9 +13,11 @@ to it are dropped.
 import ctypes
 import functools
 import gc
+import itertools
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -123,12 +125,22 @@ _FILTERED = type(eqx.filter_jit(lambda: None))
 
 def _programs() -> Iterator[Any]:
     """The jitted functions of `_OWNERS`, wherever they are kept."""
-    for thing in gc.get_objects():
-        kind = type(thing)
-        if kind is _JITTED and _is_own(thing):
-            yield thing
-        elif kind is _FILTERED and _is_own(thing.__wrapped__):
-            yield thing._cached  # Equinox offers no other way to it
+    for program in _instances(_JITTED):
+        if _is_own(program):
+            yield program
+    for program in _instances(_FILTERED):
+        if _is_own(program.__wrapped__):
+            yield program._cached  # Equinox offers no other way to it
+
+
+def _instances(kind: type) -> list[Any]:
+    """All objects of a type, found without a step of Python in between.
+
+    While there is a list of all objects, each has one reference more. A tuple that another thread is filling must not:
+    CPython would end that thread's call with a SystemError. No other thread runs during a call of C.
+    """
+    everything = itertools.islice(iter(gc.get_objects, None), 1)
+    return list(itertools.chain.from_iterable(map(partial(filter, kind.__instancecheck__), everything)))
 
 
 def _is_own(function: Any) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from scsr_opt._kernels.programs import ready
+from scsr_opt._kernels.device import check_device
 from scsr_opt._validation import picture_shape, whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.motion.estimators.frames import filled
@@ -28,7 +28,7 @@ def clip_of(
 
     **Raises:** `InputError` if one of them cannot be used.
     """
-    ready()
+    check_device()
     recording = spikes if isinstance(spikes, Recording) else Recording.from_array(spikes)
     scale = whole(scale, "scale", 1)
     picture_shape((recording.height, recording.width), scale)  # refuses pictures that do not fit into memory
@@ -39,5 +39,5 @@ def repaired(clip: Clip, picture: Float[np.ndarray, "h w"]) -> Float[np.ndarray,
     """A playback of the clip with its bad pixels filled in from their neighbours."""
     if clip.bad_pixels is None or not clip.bad_pixels.any():
         return picture
-    ready()
+    check_device()
     return np.array(filled(jnp.asarray(picture)[None], ~clip.bad_pixels)[0])

@@ -136,7 +136,7 @@ class Motion(eqx.Module):
         """
         try:
             height, width = map(operator.index, shape)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             height = width = 0
         if min(height, width) < 1:
             raise InputError(
@@ -145,7 +145,7 @@ class Motion(eqx.Module):
         try:
             with np.errstate(over="ignore"):  # becomes infinite, and is refused as such
                 pair = as_array(velocity, "velocity").astype(np.float32)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             pair = np.zeros(0, np.float32)
         if pair.shape != (2,) or not np.isfinite(pair).all():
             raise InputError(

@@ -14,7 +14,7 @@ import pytest
 SETUP = """
 import json, sys
 import numpy as np
-from scsr_opt import Recording, reconstruct
+from scsr_opt import Recording, estimate_motion, reconstruct
 from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera import Sensor, read_recording, write_recording
 from scsr_opt.camera.scenes import Translation
@@ -84,6 +84,26 @@ CALLS = {
             "GainSettings(pattern_spread={})",
             "write_film('a.gif', [RAMP], rate={})",
         )
+    },
+    **{
+        call.format(value): ""
+        for value in ("5", "'x'", "b'x'", "2.5", "{}", "object()", "MANY", "10**400")
+        for call in (
+            "Recording({})",
+            "estimate_motion({})",
+            "estimate_motion(SPIKES, key=({},))",
+            "estimate_motion(SPIKES, estimator={})",
+            "estimate_motion(SPIKES, gain={})",
+            "estimate_motion(SPIKES, bad_pixels={})",
+            "estimate_motion(SPIKES, settings={})",
+            "reconstruct(SPIKES, scale=1, settings={})",
+            "reconstruct(SPIKES, scale=1, shortcuts={})",
+        )
+    },
+    **{f"reconstruct(SPIKES, scale=1, {name}=None)": "leave it out" for name in ("settings", "shortcuts")},
+    **{
+        f"Motion.of_velocity({value})": r"it must be \(2, h, w\) numbers"
+        for value in ("'x'", "b'x'", "[['a']]", "{}", "object()", "10**400")
     },
     **{f"write_film('a.gif', {value})": "give a list of them" for value in ("5", "None", "2.5", "RAMP.sum()")},
     **{

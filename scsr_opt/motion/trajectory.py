@@ -119,9 +119,16 @@ class Motion(eqx.Module):
 
         **Arguments:** `velocity`: (2, h, w), sensor pixels per frame. `confidence`: (h, w); 1 everywhere if None.
 
-        **Raises:** `InputError` if NumPy cannot read the velocity.
+        **Raises:** `InputError` if NumPy cannot read the velocity, or it does not hold numbers.
         """
-        velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
+        try:
+            velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
+        except (TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"velocity is {shown(velocity)}; it must be (2, h, w) numbers in sensor pixels per frame."
+            ) from None
         if confidence is None:
             confidence = np.ones(velocity.shape[1:], np.float32)
         return cls(velocity, np.zeros_like(velocity), np.asarray(confidence, np.float32))

@@ -37,7 +37,7 @@ def _number(value: object, example: object, name: str) -> float | int:
     whole = isinstance(example, int)
     try:
         found = math.nan if isinstance(value, bool) else operator.index(value) if whole else float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not (math.isfinite(found) and found >= 0):
         kind = "whole" if whole else "finite"

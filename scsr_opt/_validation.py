@@ -35,7 +35,7 @@ def number(value: SupportsFloat, name: str, allowed: Callable[[float], bool], li
     try:
         # NumPy's complex numbers would drop their imaginary part.
         found = math.nan if isinstance(value, np.complexfloating) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not (math.isfinite(found) and allowed(found)):
         raise InputError(f"{name} is {shown(value)}; it must be a finite number {limits}.")
@@ -64,9 +64,10 @@ def picture_shape(sensor: tuple[int, int], scale: int) -> tuple[int, int]:
     """(s·h, s·w) of a `sensor` (h, w). **Raises:** `InputError` if such a picture does not fit into memory."""
     height, width = sensor
     if scale**2 * height * width > _MOST_PIXELS:
+        millions = shown(scale**2 * height * width // 10**6)
         raise InputError(
-            f"At scale {scale} the picture would have {scale**2 * height * width / 1e6:.0f} million pixels; at most "
-            f"{_MOST_PIXELS / 1e6:.0f} million fit in memory: take a smaller scale, or a crop."
+            f"At scale {shown(scale)} the picture would have {millions} million pixels; at most "
+            f"{_MOST_PIXELS // 10**6} million fit in memory: take a smaller scale, or a crop."
         )
     return scale * height, scale * width
 
@@ -90,10 +91,10 @@ def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h
     kind = "a complex array" if np.iscomplexobj(array) else "an array"
     try:
         found = None if np.iscomplexobj(array) else array.astype(np.float32)  # a copy
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         kind, found = f"an array of type {array.dtype}", None
     if found is None or found.shape != (height, width):
-        given = repr(gain) if array.ndim == 0 else f"{kind} of shape {array.shape}"
+        given = shown(gain) if array.ndim == 0 else f"{kind} of shape {array.shape}"
         raise InputError(
             f"gain is {given}; it must be 'auto', 'blind' or one gain for each pixel, ({height}, {width})."
         )

@@ -14,10 +14,14 @@ import pytest
 SETUP = """
 import json, sys
 import numpy as np
-from scsr_opt import Recording, reconstruct
+from scsr_opt import Recording, estimate_motion, reconstruct
+from scsr_opt.calibration.settings import GainSettings
 from scsr_opt.camera import Sensor, read_recording, write_recording
+from scsr_opt.camera.scenes import Translation
+from scsr_opt.camera.video import Video
 from scsr_opt.camera.flat import parse_size
 from scsr_opt.motion import Motion
+from scsr_opt.priors import Bounded, TotalVariation
 from scsr_opt.report import read_picture, write_film, write_picture
 
 SPIKES = (np.random.default_rng(0).random((24, 6, 8)) < 0.3).astype(np.uint8)
@@ -59,6 +63,47 @@ CALLS = {
     **{
         f"write_picture('a.png', RAMP, bits={value})": "bits per pixel cannot be stored in .png: choose 8 or 16"
         for value in ("'8'", "8.5", "[8]", "MANY", "1j")
+    },
+    **{
+        call.format(value): ""
+        for value in ("10**400", "10**5000")
+        for call in (
+            "reconstruct(SPIKES, scale={})",
+            "reconstruct(SPIKES, scale=1, key={})",
+            "reconstruct(SPIKES, scale=1, strength={})",
+            "reconstruct(SPIKES, scale=1, white_rate={})",
+            "reconstruct(SPIKES, scale=1, gain={})",
+            "Motion.constant(({0}, 0), (6, 8))",
+            "Recording.from_array(SPIKES, readout_rate={})",
+            "Recording.from_array(SPIKES).window(0, {})",
+            "Recording.from_array(SPIKES).around({}, 5)",
+            "Sensor(white_rate={})",
+            "Translation(RAMP, velocity=({0}, 0))",
+            "Video([RAMP, RAMP], readouts_per_frame={})",
+            "Bounded(TotalVariation(), lower={})",
+            "GainSettings(pattern_spread={})",
+            "write_film('a.gif', [RAMP], rate={})",
+        )
+    },
+    **{
+        call.format(value): ""
+        for value in ("5", "'x'", "b'x'", "2.5", "{}", "object()", "MANY", "10**400")
+        for call in (
+            "Recording({})",
+            "estimate_motion({})",
+            "estimate_motion(SPIKES, key=({},))",
+            "estimate_motion(SPIKES, estimator={})",
+            "estimate_motion(SPIKES, gain={})",
+            "estimate_motion(SPIKES, bad_pixels={})",
+            "estimate_motion(SPIKES, settings={})",
+            "reconstruct(SPIKES, scale=1, settings={})",
+            "reconstruct(SPIKES, scale=1, shortcuts={})",
+        )
+    },
+    **{f"reconstruct(SPIKES, scale=1, {name}=None)": "leave it out" for name in ("settings", "shortcuts")},
+    **{
+        f"Motion.of_velocity({value})": r"it must be \(2, h, w\) numbers"
+        for value in ("'x'", "b'x'", "[['a']]", "{}", "object()", "10**400")
     },
     **{f"write_film('a.gif', {value})": "give a list of them" for value in ("5", "None", "2.5", "RAMP.sum()")},
     **{

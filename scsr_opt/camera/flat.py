@@ -217,7 +217,10 @@ def _alignment(path: Path, height: int, layout: FlatLayout) -> FlatLayout:
         return layout
     packed = dataclasses.replace(layout, aligned=False)
     if not _sampled(path, height, layout)[:, bits:].any():
-        return packed if _both_fit(path, height, layout) and _fires(path, height, packed, layout) else layout
+        if not _may_be_packed(path, height, layout):
+            return layout
+        # Where the length fits both, only content that is clear speaks against the frames that are filled up.
+        return packed if layout.rest(length, height) or _fires(path, height, packed, layout) else layout
     if length * 8 % bits < 8 and not (
         _pace(path, height, packed).irregular and not _pace(path, height, layout).irregular
     ):
@@ -230,7 +233,9 @@ def _alignment(path: Path, height: int, layout: FlatLayout) -> FlatLayout:
 
 def uncertain_alignment(path: Path, height: int, layout: FlatLayout) -> str | None:
     """Remark on a short file whose frames may as well follow each other without zero bits between them."""
-    if not layout.aligned or not _both_fit(path, height, layout) or _pace(path, height, layout).regular:
+    if not layout.aligned or layout.rest(path.stat().st_size, height) or not _may_be_packed(path, height, layout):
+        return None
+    if _pace(path, height, layout).regular:
         return None
     # The first frame is the same either way, and so are frames without a spike.
     if not _sampled(path, height, layout)[1:].any():
@@ -241,12 +246,12 @@ def uncertain_alignment(path: Path, height: int, layout: FlatLayout) -> str | No
     )
 
 
-def _both_fit(path: Path, height: int, layout: FlatLayout) -> bool:
-    """Test of a file that is a whole number of frames with the bits that fill up a frame and without: they are zero,
-    and may be so by chance."""
+def _may_be_packed(path: Path, height: int, layout: FlatLayout) -> bool:
+    """Test of a file that is a whole number of frames without bits that fill up a frame, those of `layout` being zero,
+    maybe by chance."""
     bits, length = height * layout.row_bits, path.stat().st_size
     left = length * 8 % bits
-    if bits % 8 == 0 or left >= 8 or layout.rest(length, height):
+    if bits % 8 == 0 or left >= 8:
         return False
     sampled = _sampled(path, height, layout)
     filling = sampled[:, bits:]

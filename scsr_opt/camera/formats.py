@@ -375,7 +375,7 @@ def _dataset_names(file: h5py.File) -> tuple[list[str], dict[str, Any]]:
         for name in group:
             try:
                 item = group[name]
-            except (KeyError, OSError):
+            except (KeyError, OSError, RuntimeError):  # the last for links that lead to themselves
                 dead[f"{prefix}{name}"] = group.get(name, getlink=True)
                 continue
             if isinstance(item, h5py.Dataset):

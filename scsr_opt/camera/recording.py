@@ -48,8 +48,8 @@ class Recording:
     - `flipped`: whether the file has the rows bottom-up. Only a note: `window` and `spikes` are upright either way.
     - `name`: for titles and reports.
 
-    **Raises:** `InputError` if `readout_rate` is not a number from 1e-3 to 1e12, `white_rate` not one from 1e-6 to 1e3,
-    or `bad_pixels` not a bool mask of shape (h, w).
+    **Raises:** `InputError` if `source` is no `SpikeSource`, `readout_rate` not a number from 1e-3 to 1e12,
+    `white_rate` not one from 1e-6 to 1e3, or `bad_pixels` not a bool mask of shape (h, w).
     """
 
     source: SpikeSource
@@ -60,6 +60,11 @@ class Recording:
     name: str = "recording"
 
     def __post_init__(self):
+        if not isinstance(self.source, SpikeSource):
+            raise InputError(
+                f"source is {shown(self.source)}; it must be a SpikeSource, as Recording.from_array and read_recording "
+                f"make it."
+            )
         for name, value in checked_settings(self.shape, self.readout_rate, self.white_rate, self.bad_pixels).items():
             object.__setattr__(self, name, value)
 
@@ -136,8 +141,8 @@ class Recording:
         first, last = _index(start, "start"), _index(stop, "stop")
         if not 0 <= first < last <= self.frames:
             raise InputError(
-                f"The window of frames {first} to {last} (stop excluded) does not lie in {self.name}, which has frames "
-                f"0 to {self.frames - 1}: choose 0 <= start < stop <= {self.frames}."
+                f"The window of frames {shown(first)} to {shown(last)} (stop excluded) does not lie in "
+                f"{self.name}, which has frames 0 to {self.frames - 1}: choose 0 <= start < stop <= {self.frames}."
             )
         return self.source.read(first, last)
 
@@ -156,12 +161,12 @@ class Recording:
         middle = self.frames // 2 if key is None else _index(key, "key")
         if not 0 <= middle < self.frames:
             raise InputError(
-                f"Key frame {middle} is not in {self.name}, which has {self.frames} frames: choose one from 0 to "
-                f"{self.frames - 1}."
+                f"Key frame {shown(middle)} is not in {self.name}, which has {self.frames} frames: choose one "
+                f"from 0 to {self.frames - 1}."
             )
         count = self.frames if frames is None else min(_index(frames, "frames"), self.frames)
         if count < 1:
-            raise InputError(f"A window of {frames} frames holds nothing: ask for at least 1.")
+            raise InputError(f"A window of {shown(frames)} frames holds nothing: ask for at least 1.")
         start = min(max(middle - count // 2, 0), self.frames - count)
         return (start, start + count)
 
@@ -174,10 +179,10 @@ class Recording:
         height, width = _index(height, "height", "pixels"), _index(width, "width", "pixels")
         if not (0 <= top < top + height <= self.height and 0 <= left < left + width <= self.width):
             raise InputError(
-                f"The crop of {height} rows from {top} and {width} columns from {left} does not lie in {self.name}, "
-                f"which has {self.height} rows and {self.width} columns: choose a height and a width of at least 1, a "
-                f"top and a left of at least 0, top + height of at most {self.height} and left + width of at most "
-                f"{self.width}."
+                f"The crop of {shown(height)} rows from {shown(top)} and {shown(width)} columns from {shown(left)} "
+                f"does not lie in {self.name}, which has {self.height} rows and {self.width} columns: choose a height "
+                f"and a width of at least 1, a top and a left of at least 0, top + height of at most {self.height} "
+                f"and left + width of at most {self.width}."
             )
         mask = self.bad_pixels
         if mask is not None:
@@ -222,7 +227,7 @@ def checked_white_rate(value: Any) -> float:
 def _between(value: Any, name: str, least: float, most: float, unit: str) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not least <= number <= most:
         raise InputError(f"{name} is {shown(value)}, but it must be a number from {least:g} to {most:g}, {unit}.")

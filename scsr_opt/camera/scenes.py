@@ -369,7 +369,7 @@ def _number(value: Any, name: str, unit: str, most: float = _MOST_COORDINATE) ->
 def _pair(value: Any, name: str, unit: str) -> tuple[float, float]:
     try:
         first, second = (float(v) for v in value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         first = second = math.nan
     if not (abs(first) <= _MOST_COORDINATE and abs(second) <= _MOST_COORDINATE):
         raise InputError(

@@ -57,7 +57,7 @@ class Video(Scene):
     ):
         try:
             self._spacing = float(readouts_per_frame)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             self._spacing = np.nan
         if not 1 <= self._spacing < np.inf:
             raise InputError(

@@ -119,9 +119,16 @@ class Motion(eqx.Module):
 
         **Arguments:** `velocity`: (2, h, w), sensor pixels per frame. `confidence`: (h, w); 1 everywhere if None.
 
-        **Raises:** `InputError` if NumPy cannot read the velocity.
+        **Raises:** `InputError` if NumPy cannot read the velocity, or it does not hold numbers.
         """
-        velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
+        try:
+            velocity = as_array(velocity, "velocity").astype(np.float32, copy=False)
+        except (TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"velocity is {shown(velocity)}; it must be (2, h, w) numbers in sensor pixels per frame."
+            ) from None
         if confidence is None:
             confidence = np.ones(velocity.shape[1:], np.float32)
         return cls(velocity, np.zeros_like(velocity), np.asarray(confidence, np.float32))
@@ -136,7 +143,7 @@ class Motion(eqx.Module):
         """
         try:
             height, width = map(operator.index, shape)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             height = width = 0
         if min(height, width) < 1:
             raise InputError(
@@ -145,7 +152,7 @@ class Motion(eqx.Module):
         try:
             with np.errstate(over="ignore"):  # becomes infinite, and is refused as such
                 pair = as_array(velocity, "velocity").astype(np.float32)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             pair = np.zeros(0, np.float32)
         if pair.shape != (2,) or not np.isfinite(pair).all():
             raise InputError(

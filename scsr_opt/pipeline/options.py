@@ -149,6 +149,9 @@ class Options:
         check_type(self.prior, Prior, "prior", "HuberTotalVariation()")
         check_type(self.solver, Solver, "solver", "FISTA()")
         check_type(self.robust, Loss, "robust", "Huber()")
+        for name, kind in (("shortcuts", Shortcuts), ("settings", PipelineSettings)):
+            if getattr(self, name) is None:
+                raise InputError(f"{name} is None; leave it out for the defaults, or give {kind.__name__}(…).")
         check_type(self.shortcuts, Shortcuts, "shortcuts", "Shortcuts.none()")
         check_type(self.settings, PipelineSettings, "settings", "PipelineSettings()")
         check_type(self.lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")

@@ -64,7 +64,7 @@ class Bounded(Prior[BoundedState]):
             )
         try:
             least, most = float(lower), math.inf if upper is None else float(upper)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             least = most = math.nan
         with np.errstate(over="ignore"):
             between = np.float32(least) < np.float32(most)  # what pictures are made of

@@ -153,6 +153,16 @@ def test_a_short_file_of_either_packing_is_never_misread_without_a_word(tmp_path
     assert told > 12
 
 
+@pytest.mark.parametrize("frames", [9, 12, 30, 61])
+@pytest.mark.parametrize(("width", "height"), [(25, 13), (13, 25), (33, 17), (15, 5)])
+def test_dark_frames_packed_without_padding_are_read_where_only_they_fit(tmp_path, width, height, frames):
+    """In the dark the bits that would fill up a frame are zero by chance, and the length alone decides."""
+    spikes = (np.random.default_rng(frames).random((frames, height, width)) < 0.01).astype(np.uint8)
+    np.packbits(spikes.reshape(-1), bitorder="little").tofile(tmp_path / "r.dat")
+    recording = _quiet(tmp_path / "r.dat", size=(width, height), flip=False)
+    np.testing.assert_array_equal(recording.spikes, spikes)
+
+
 def test_frames_of_neither_packing_are_refused(tmp_path):
     (tmp_path / "r.dat").write_bytes(np.random.default_rng(0).bytes(41 * 300 + 7))
     with pytest.raises(InputError, match="holds set bits where a frame of 25x13, .* is filled up with zeros"):

@@ -52,7 +52,13 @@ def test_read_recording_links_to_groups_are_followed_and_circles_end(tmp_path):
 
 @pytest.mark.parametrize(
     "link",
-    [h5py.SoftLink("/nowhere"), h5py.ExternalLink("nowhere.h5", "/raw_spike"), h5py.ExternalLink("r.h5", "/nowhere")],
+    [
+        h5py.SoftLink("/nowhere"),
+        h5py.ExternalLink("nowhere.h5", "/raw_spike"),
+        h5py.ExternalLink("r.h5", "/nowhere"),
+        h5py.SoftLink("/raw_spike"),
+        h5py.ExternalLink("r.h5", "/raw_spike"),
+    ],
 )
 def test_read_recording_links_that_lead_nowhere_are_said(tmp_path, link):
     with h5py.File(tmp_path / "r.h5", "w") as file:

@@ -14,10 +14,11 @@ from scipy import ndimage
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
-from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
-from scsr_opt.camera.recording import USUAL_FRAMES, WHITE_RATE, Recording, bad_pixels_of
+from scsr_opt._validation import check_type, pixel_gain, whole
+from scsr_opt.camera.recording import USUAL_FRAMES, Recording, bad_pixels_of, checked_white_rate
+from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.dense import accelerated, dense
 from scsr_opt.motion.estimators.evidence import (
@@ -373,23 +374,27 @@ def estimate_motion(
 
     **Returns:** the `Motion`; none for fewer than three frames, or a single row or column.
 
-    **Raises:** `InputError` for arrays that cannot be read, and a key frame that is not in the recording.
+    **Raises:** `InputError` for arrays that cannot be read or have another shape, a key frame that is not in the
+    recording, and an estimator or settings that are none.
     """
-    bad, gains = (
-        None if value is None else as_array(value, name) for name, value in (("bad_pixels", bad_pixels), ("gain", gain))
+    check_type(estimator, Estimator, "estimator", "Global()")
+    if not isinstance(settings, MotionSettings):
+        raise InputError(f"settings is {shown(settings)}; it must be a MotionSettings, such as MotionSettings().")
+    known = isinstance(spikes, Recording)
+    recording = spikes if known else Recording.from_array(spikes)
+    middle = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
+    start, stop = recording.around(middle, USUAL_FRAMES if known else None)
+    rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
+    pictures = corrected_frames(
+        recording.window(start, stop),
+        key=middle - start,
+        white_rate=rate,
+        bad_pixels=bad_pixels_of(recording, bad_pixels),
+        gain=None if gain is None else pixel_gain(gain, recording.height, recording.width),
+        settings=settings,
     )
-    if isinstance(spikes, Recording):
-        start, stop = spikes.around(key, USUAL_FRAMES)
-        middle = spikes.frames // 2 if key is None else key
-        rate = spikes.white_rate if white_rate is None else white_rate
-        bad = bad_pixels_of(spikes, bad)
-        frames, key = spikes.window(start, stop), middle - start
-    else:
-        frames = as_array(spikes, "The array of spikes")
-        key, rate = len(frames) // 2 if key is None else key, WHITE_RATE if white_rate is None else white_rate
-    pictures = corrected_frames(frames, key=key, white_rate=rate, bad_pixels=bad, gain=gains, settings=settings)
     if pictures is None:
-        return Motion.none(*frames.shape[1:])
+        return Motion.none(recording.height, recording.width)
     # Arrays of the caller's own, which can be written to.
     return jax.tree.map(np.array, motion_in(pictures, estimator, settings))
 

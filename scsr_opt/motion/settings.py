@@ -13,6 +13,8 @@ from scsr_opt._settings import Settings
 class FrameSettings(Settings):
     """How a recording is cut into short pictures (`motion_frames`)."""
 
+    above_zero = frozenset({"most_pictures", "frames_per_picture"})
+
     most_pictures: int = 25
     """Short pictures of a recording, at most: every comparison costs time in proportion to their number."""
     frames_per_picture: int = 4
@@ -32,6 +34,8 @@ class FrameSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSettings(Settings):
     """How pictures are compared along a motion; shared by all stages."""
+
+    above_zero = frozenset({"window_pixels", "presmoothing_pixels", "neighbourhood_pixels"})
 
     presmoothing_pixels: float = 1.0
     """Gaussian presmoothing before pictures are compared: aliasing between pixels is then no disagreement."""
@@ -89,6 +93,8 @@ class EvidenceSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class ChoiceSettings(Settings):
     """Which kind of motion is taken: rest, one for the scene, layers, or one for each pixel (`Automatic`)."""
+
+    above_zero = frozenset({"light_pixels"})
 
     tolerated_share_global: float = 0.01
     """Share of the pixels that may contradict one motion for the whole scene."""
@@ -154,6 +160,8 @@ class ChoiceSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class ParametricSettings(Settings):
     """One motion of few numbers for the scene or a region (`parametric`)."""
+
+    above_zero = frozenset({"presmoothing_pixels"})
 
     presmoothing_pixels: tuple[float, float, float, float] = (2.5, 1.5, 1.2, 1.0)
     """Gaussian presmoothing at each level of `near_times_frames`, from blurred to sharp."""

@@ -16,6 +16,8 @@ from scsr_opt.solvers.settings import TileSettings
 class SamplingSettings(Settings):
     """From spikes to samples and their places (`scsr_opt.pipeline.measurement`, `scsr_opt.pipeline.visibility`)."""
 
+    above_zero = frozenset({"merged_weight_change", "cut_remaining_frames"})
+
     merged_motion_px: float = 0.25
     """High-resolution pixels by which what a pixel sees may move while its intervals are merged: below the blur of the
     aperture itself."""
@@ -53,6 +55,8 @@ class SamplingSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class StrengthSettings(Settings):
     """Search for the strength λ of the prior (`scsr_opt.pipeline.strength`, `scsr_opt.pipeline.folds`)."""
+
+    above_zero = frozenset({"noise_pixels", "most_parts"})
 
     noise_factor: float = 0.06
     """λ = noise_factor · √(noise / frames) · 2/s · `Prior.relative_strength`. The root is how far noise moves the
@@ -145,6 +149,8 @@ class RefinementSettings(Settings):
 @dataclass(frozen=True, kw_only=True)
 class SceneSummarySettings(Settings):
     """Limits of the kinds of tiles in a scene summary, which decides nothing (`scsr_opt.pipeline.scene_summary`)."""
+
+    above_zero = frozenset({"tile_px"})
 
     tile_px: int = 16
     """Side of a tile, sensor pixels."""

@@ -217,7 +217,7 @@ def write_film(
 ) -> int:
     """Writes pictures as a film; they are taken one at a time, so a long film needs no more memory than a short one.
 
-    The film has as many pictures as `images`, equal ones too. A file of that name is replaced, as by
+    The film has as many pictures as `frames`, equal ones too. A file of that name is replaced, as by
     `numpy.save`, once the new one is whole.
 
     **Arguments:**

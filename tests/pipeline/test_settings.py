@@ -27,10 +27,14 @@ class Nested(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Example(Settings):
+    above_zero = frozenset({"parts", "sides"})
+
     share: float = 0.5
     frames: int = 8
     widths: tuple[float, float] = (1.0, 2.0)
     counts: tuple[int, int] = (2, 3)
+    parts: int = 4
+    sides: tuple[int, int] = (2, 3)
     nested: Nested = field(default_factory=Nested)
 
 
@@ -53,6 +57,11 @@ class Example(Settings):
         ({"widths": 1.0}, "must be a tuple of 2 numbers"),
         ({"widths": (1.0, -2.0)}, "not negative"),
         ({"counts": (2, 2.5)}, "must be a whole number"),
+        ({"parts": 0}, "Example.parts is 0; it must be above 0, such as 4"),
+        ({"sides": (2, 0)}, "it must be above 0"),
+        ({"share": "0.5"}, "must be a finite number"),
+        ({"share": b"1"}, "must be a finite number"),
+        ({"share": 10**400}, "must be a finite number"),
         ({"nested": 0.5}, "Example.nested is 0.5; it must be a Nested"),
         ({"nested": Example()}, "must be a Nested"),
     ],
@@ -124,3 +133,19 @@ def test_reconstruct_strength_is_raised_by_its_settings(spikes):
     twice = PipelineSettings(strength=StrengthSettings(raised_by=(2.8, 3.4), least_by_noise=(1.4, 0.8)))
     found = reconstruct(spikes, scale=2, gain=None, settings=twice)
     assert found.diagnostics.strength == pytest.approx(2 * (usual.diagnostics.strength or 0), rel=1e-6)
+
+
+def _all_settings(settings: Settings) -> list[Settings]:
+    parts = [getattr(settings, one.name) for one in fields(settings)]
+    return [settings, *(found for part in parts if isinstance(part, Settings) for found in _all_settings(part))]
+
+
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [(each, name) for each in _all_settings(PipelineSettings()) for name in sorted(each.above_zero)],
+)
+def test_settings_zero_where_something_is_divided_by_is_refused(settings, name):
+    """Each of these made a solve raise, warn of values that are not numbers, or find no sample."""
+    value = getattr(settings, name)
+    with pytest.raises(InputError, match="must be above 0"):
+        replace(settings, **{name: tuple(0 * part for part in value) if isinstance(value, tuple) else 0 * value})

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -14,10 +14,12 @@ from scipy import ndimage
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
+from scsr_opt._arrays import as_array
 from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
 from scsr_opt._validation import check_type, pixel_gain, whole
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, bad_pixels_of, checked_white_rate
+from scsr_opt.camera.sources import ArraySource, as_spikes, checked_shape
 from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.dense import accelerated, dense
@@ -380,10 +382,9 @@ def estimate_motion(
     check_type(estimator, Estimator, "estimator", "Global()")
     if not isinstance(settings, MotionSettings):
         raise InputError(f"settings is {shown(settings)}; it must be a MotionSettings, such as MotionSettings().")
-    known = isinstance(spikes, Recording)
-    recording = spikes if known else Recording.from_array(spikes)
+    recording = spikes if isinstance(spikes, Recording) else _recording(spikes)
     middle = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
-    start, stop = recording.around(middle, USUAL_FRAMES if known else None)
+    start, stop = recording.around(middle, USUAL_FRAMES if recording is spikes else None)
     rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
     pictures = corrected_frames(
         recording.window(start, stop),
@@ -397,6 +398,13 @@ def estimate_motion(
         return Motion.none(recording.height, recording.width)
     # Arrays of the caller's own, which can be written to.
     return jax.tree.map(np.array, motion_in(pictures, estimator, settings))
+
+
+def _recording(spikes: Any) -> Recording:
+    """An array as a recording, without a look at its axis of time: most callers have had one."""
+    array = as_array(spikes, "The array of spikes")
+    checked_shape(array.shape, "The array of spikes")
+    return Recording(ArraySource.of(as_spikes(array, "The array of spikes")))
 
 
 def motion_in(pictures: MotionFrames, estimator: Estimator | None, settings: MotionSettings) -> Motion:

@@ -43,6 +43,7 @@ def warm(
     import numpy as np
 
     from scsr_opt import reconstruct
+    from scsr_opt._validation import picture_shape, whole
     from scsr_opt.camera import Recording, Sensor, simulate
     from scsr_opt.camera.flat import parse_size
     from scsr_opt.camera.recording import USUAL_FRAMES
@@ -52,6 +53,7 @@ def warm(
     count = USUAL_FRAMES if frames is None else frames
     if count < 2:
         raise InputError(f"--frames is {count}; it must be a whole number, at least 2.")
+    picture_shape((height, width), whole(scale, "--scale", 1))  # refuses what does not fit into memory
     # Squares of 3 pixels with random brightness: texture enough for every stage, at the sensor's own resolution.
     rng = np.random.default_rng(0)
     texture = np.kron(0.1 + 0.8 * rng.random((-(-height // 3), -(-width // 3))), np.ones((3, 3)))[:height, :width]

@@ -126,7 +126,13 @@ def test_cache_command_shows_and_clears(entries, capsys):
 
 
 @pytest.mark.parametrize(
-    "wrong", [["--size", "40"], ["--size", "8x8", "--scale", "0"], ["--size", "8x8", "--frames", "1"]]
+    "wrong",
+    [
+        ["--size", "99999x99999"],
+        ["--size", "40"],
+        ["--size", "8x8", "--scale", "0"],
+        ["--size", "8x8", "--frames", "1"],
+    ],
 )
 def test_warm_command_refuses(wrong, capsys):
     assert main(["warm", *wrong]) == 2

@@ -1,5 +1,6 @@
 """`scsr cache` and `scsr warm`: compiled programs that are kept on disk."""
 
+import os
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -26,6 +27,9 @@ def cache(
         print(f"{cache_folder()}: deleted {what}.")
     else:
         print(f"{cache_folder()}: {what}; at most {MOST_BYTES / 1e6:.0f} MB are kept.")
+    elsewhere = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if elsewhere:
+        print(f"JAX_COMPILATION_CACHE_DIR is set: programs are kept in {elsewhere} now, which is left alone here.")
     return 0
 
 

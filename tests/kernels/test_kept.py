@@ -125,6 +125,13 @@ def test_cache_command_shows_and_clears(entries, capsys):
     assert names(folder) == []
 
 
+def test_cache_command_says_where_jax_keeps_programs(entries, monkeypatch, capsys):
+    entries(a=1)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+    assert main(["cache"]) == 0
+    assert "programs are kept in elsewhere now" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

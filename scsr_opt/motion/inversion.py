@@ -42,7 +42,7 @@ def inverse(
     """
     velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
     longest = float(np.abs(np.asarray(after)).max())
-    affine, numbers = affine_numbers(velocity, acceleration, longest, settings.inverse_tolerance_pixels)
+    affine, numbers = affine_numbers(velocity, acceleration, longest, settings.inverse_tolerance_px)
     # Interpolation takes most of the time, and a field of zeros needs none.
     return _inverses(
         velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after, every, settings
@@ -119,7 +119,7 @@ def inverse_at(
     def go_on(carry: tuple[list[Array], list[Array], Array]) -> Array:
         q, before, done = carry
         change = jnp.maximum(*(jnp.max(jnp.abs(now - then)) for now, then in zip(q, before, strict=True)))
-        unfinished = (done < settings.inverse_steps) & (change > settings.inverse_tolerance_pixels)
+        unfinished = (done < settings.inverse_steps) & (change > settings.inverse_tolerance_px)
         return (done == 0) | unfinished
 
     def solved() -> Float[Array, "2 rows columns"]:

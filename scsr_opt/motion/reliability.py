@@ -30,7 +30,7 @@ def with_trust(pictures: MotionFrames, motion: Motion, settings: MotionSettings 
     # Pictures nearer to each other than a pixel's interval between spikes share their light and their error.
     interval = 1 / max(float(np.median(np.asarray(pictures.firing))), 1e-3) if pictures.firing is not None else 1.0
     lag = int(np.clip(np.ceil(interval / (after[1] - after[0])), 1, after.size // 2))
-    presmoothed = pictures.presmoothed(settings.comparison.presmoothing_pixels)
+    presmoothed = pictures.presmoothed(settings.comparison.presmoothing_px)
     fields = motion.velocity, motion.acceleration
     share = _worth(presmoothed, pictures.after, *fields, np.int32(lag), settings)
     trust = Trust(after, np.asarray(share))
@@ -75,11 +75,11 @@ def _worth(
 
     logarithms, compared = jax.lax.fori_loop(0, values.shape[0] - lag, compare, (nothing, nothing))
     geometric = float(np.exp(-np.euler_gamma) / 2)
-    window = jnp.asarray(by.window_pixels)
+    window = jnp.asarray(by.window_px)
     noise = smooth(jnp.exp(logarithms / jnp.maximum(compared, 1)) / geometric, window) + 1e-6
     # A sample has the noise of one pixel, which presmoothing has averaged over several.
-    noise_of_one = noise * (4 * np.pi * by.presmoothing_pixels**2)
-    neighbourhood = jnp.asarray(by.neighbourhood_pixels)
+    noise_of_one = noise * (4 * np.pi * by.presmoothing_px**2)
+    neighbourhood = jnp.asarray(by.neighbourhood_px)
 
     def worth(one: tuple[Array, Array]) -> Array:
         value, inside = one

@@ -25,7 +25,7 @@ class FrameSettings(Settings):
     """Share of the pixels that must have fired before the first picture begins, and fire again after the last one."""
     trimmed_share: float = 0.2
     """Share of the recording, at most, that is left out at each end because pixels have not fired yet or any more."""
-    repair_window_pixels: float = 2.0
+    repair_window_px: float = 2.0
     """Standard deviation of the Gaussian window in which good pixels around a bad one are counted."""
     repair_good_share: float = 0.2
     """Share of good pixels in that window from which on a bad pixel may contradict a motion."""
@@ -35,9 +35,9 @@ class FrameSettings(Settings):
 class ComparisonSettings(Settings):
     """How pictures are compared along a motion; shared by all stages."""
 
-    above_zero = frozenset({"window_pixels", "presmoothing_pixels", "neighbourhood_pixels"})
+    above_zero = frozenset({"window_px", "presmoothing_px", "neighbourhood_px"})
 
-    presmoothing_pixels: float = 1.0
+    presmoothing_px: float = 1.0
     """Gaussian presmoothing before pictures are compared: aliasing between pixels is then no disagreement."""
     presmoothing_cutoff_sigmas: float = 4.0
     """Standard deviations at which that Gaussian is cut off. A cut at 3 passes a little of all frequencies: two layers
@@ -45,9 +45,9 @@ class ComparisonSettings(Settings):
     near_times_frames: tuple[float, float, float] = (8.0, 16.0, 32.0)
     """Distances from the key frame within which pictures take part, level by level; the last level has all of them.
     Within 8 frames hardly anything moves further than the presmoothing, and each level doubles the reach."""
-    window_pixels: float = 3.0
+    window_px: float = 3.0
     """Gaussian window over which texture, noise and rates of firing are averaged: some 100 pixels."""
-    neighbourhood_pixels: float = 1.5
+    neighbourhood_px: float = 1.5
     """Gaussian neighbourhood that decides together where edges have to stay in place (labels, squared residuals)."""
     residual_cap: float = 6.0
     """Largest squared residual that counts, in units of the noise variance: what is hidden for a while has a large
@@ -58,7 +58,7 @@ class ComparisonSettings(Settings):
     """Step from one predicted picture to the next where motions are compared."""
     sparse_step: int = 2
     """Step between rows and columns of a sparse grid of pixels."""
-    least_side_pixels: int = 8
+    least_side_px: int = 8
     """Side below which a picture, or the overlap of two, has no room for a window or a correlation."""
 
 
@@ -69,11 +69,11 @@ class EvidenceSettings(Settings):
     contradiction_likelihood: float = 100.0
     """Twice the gain in log-likelihood by which another velocity has to explain a window better. A χ² value with 2
     degrees of freedom if the noise were white; on scenes at rest the largest was 80, the median 3.5."""
-    contradiction_pixels: float = 0.5
+    contradiction_px: float = 0.5
     """Displacement over the recording by which that other velocity has to differ."""
     tolerated_share_at_rest: float = 0.001
     """Share of the pixels that may contradict that nothing moves."""
-    smear_pixels: float = 1.4
+    smear_px: float = 1.4
     """Motion between two spikes of a pixel, the diagonal of a pixel, above which the pixel is not observable: what
     passes within an interval looks as if it stood still. Without this limit a tenth of the pixels contradicted a true
     velocity of 0.3 px per frame by day; with 1 px a car in dim light was not detected."""
@@ -92,7 +92,8 @@ class EvidenceSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ChoiceSettings(Settings):
-    """Which kind of motion is taken: rest, one for the scene, layers, or one for each pixel (`Automatic`)."""
+    """Thresholds of the choice between rest, one motion for the scene, layers, and one motion for each pixel
+    (`Automatic`)."""
 
     above_zero = frozenset({"light_pixels"})
 
@@ -101,7 +102,7 @@ class ChoiceSettings(Settings):
     resting_share: float = 0.05
     """Share of the sensor that has to be certainly at rest, single pixels aside, to rule out one motion for the scene:
     up to 0.03 of slow pans by mistake, 0.16 and more of scenes with an object before a background."""
-    resting_opening_pixels: int = 2
+    resting_opening_iterations: int = 2
     """Iterations of the morphological opening that takes single pixels out of those at rest."""
     observable_share: float = 0.5
     """Share of the pixels that has to be observable for a lack of contradiction to count as agreement. Of a dim clip
@@ -135,10 +136,10 @@ class ChoiceSettings(Settings):
     layers_sufficient_ratio: float = 0.95
     """Prediction residual of layers, relative to the dense estimate's, below which the dense estimate is not tried as
     one more layer."""
-    margin_pixels: int = 24
+    margin_px: int = 24
     """Margin around contradicting pixels within which separate motion is searched for: the widest window of the dense
     estimate reaches 18 pixels."""
-    box_step_pixels: int = 16
+    box_step_px: int = 16
     """Steps in which the sides of that box lie, so that compiled programs fit the next one, too."""
     box_share: float = 0.85
     """Share of the sensor up to which the box is used in the place of the whole sensor."""
@@ -161,9 +162,9 @@ class ChoiceSettings(Settings):
 class ParametricSettings(Settings):
     """One motion of few numbers for the scene or a region (`parametric`)."""
 
-    above_zero = frozenset({"presmoothing_pixels"})
+    above_zero = frozenset({"presmoothing_px"})
 
-    presmoothing_pixels: tuple[float, float, float, float] = (2.5, 1.5, 1.2, 1.0)
+    presmoothing_px: tuple[float, float, float, float] = (2.5, 1.5, 1.2, 1.0)
     """Gaussian presmoothing at each level of `near_times_frames`, from blurred to sharp."""
     most_steps: tuple[int, int, int, int] = (10, 6, 5, 12)
     """Gauss–Newton steps at each level, at most."""
@@ -171,7 +172,7 @@ class ParametricSettings(Settings):
     """Displacement at the farthest moment, in units of the presmoothing, below which steps end."""
     last_tolerance_ratio: float = 0.1
     """Tolerance of the last level relative to that of the others."""
-    varying_pixels: float = 0.1
+    varying_px: float = 0.1
     """Variation of a start over pixels and moments above which it is affine and not a translation."""
     agreeing_share: float = 0.5
     """Share of the scene's points whose residual sets the scale of outliers."""
@@ -189,7 +190,7 @@ class ParametricSettings(Settings):
     """Points at most. Presmoothed pictures change little from pixel to pixel: a sixth of 400×250 pixels is enough."""
     blocks_per_side: int = 16
     """Blocks along each side of the picture, whose separate gradients tell how certain a number is."""
-    firing_window_pixels: float = 2.0
+    firing_window_px: float = 2.0
     """Gaussian window over which rates of firing are averaged."""
     least_firing_rate: float = 0.001
     """Spikes per frame that are not distinguished from none."""
@@ -206,7 +207,7 @@ class ParametricSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class LayerSettings(Settings):
-    """How many layers there are, their motions, labels and order (`layered`)."""
+    """Thresholds of the number of layers, their motions, labels and order (`layered`)."""
 
     most_layers: int = 3
     """Layers besides the background that are searched for."""
@@ -234,14 +235,14 @@ class LayerSettings(Settings):
     """Share of a region that a motion has to explain to become a layer."""
     dense_share: float = 0.01
     """Share of the sensor that no layer explains from which on the dense estimate is one more layer."""
-    closing_pixels: int = 3
+    closing_px: int = 3
     """Half the gap up to which parts of what contradicts the background are one region."""
-    edge_pixels: int = 3
+    edge_px: int = 3
     """Distance from the edge of a layer within which pixels show something of the next. Fitted with its edge, an object
     became 2 % too slow."""
-    presmoothing_pixels: float = 0.6
+    presmoothing_px: float = 0.6
     """Presmoothing of the pictures that labels are found by: small, so that edges stay in place."""
-    support_pixels: float = 1.2
+    support_px: float = 1.2
     """Gaussian window over which mismatches are averaged before labels are found."""
     key_picture_frames: float = 6.0
     """Standard deviation of the Gaussian in time whose mean is the key frame's picture that labels are found by."""
@@ -276,15 +277,15 @@ class LayerSettings(Settings):
 class DenseSettings(Settings):
     """One motion for each pixel (`dense`, `accelerated`)."""
 
-    presmoothing_pixels: tuple[float, float, float, float] = (2.0, 1.5, 1.0, 0.8)
+    presmoothing_px: tuple[float, float, float, float] = (2.0, 1.5, 1.0, 0.8)
     """Gaussian presmoothing at each level of `near_times_frames`; the last one serves accelerations, too."""
-    window_pixels: tuple[float, float, float, float] = (6.0, 4.0, 3.0, 2.5)
+    window_px: tuple[float, float, float, float] = (6.0, 4.0, 3.0, 2.5)
     """Gaussian window of the least squares for velocities at each level: wide where little has moved."""
     steps: tuple[int, int, int, int] = (8, 6, 6, 6)
     """Gauss–Newton steps at each level."""
-    acceleration_window_pixels: float = 6.0
+    acceleration_window_px: float = 6.0
     """Gaussian window of the least squares for accelerations, wider as they are known less well than velocities."""
-    accelerated_window_pixels: float = 4.0
+    accelerated_window_px: float = 4.0
     """Gaussian window of the velocities that are found in turns with accelerations."""
     acceleration_turns: int = 3
     """Turns of accelerations and velocities."""
@@ -293,13 +294,13 @@ class DenseSettings(Settings):
     each picture that one interval of a pixel lasts: these share its noise."""
     least_picture_share: float = 0.001
     """Least share of an interval that a picture is taken to last, where pixels hardly fire."""
-    median_side_pixels: int = 5
+    median_side_px: int = 5
     """Side of the square whose median replaces each velocity after a level: single wrong windows are outvoted."""
     prior_weight: float = 0.01
     """Information of the prior that the velocity is near its start: decides only where there is no texture."""
-    prior_pixels: float = 2.0
+    prior_px: float = 2.0
     """Displacement over the recording to within which the start is taken to be known."""
-    step_margin_pixels: float = 0.5
+    step_margin_px: float = 0.5
     """Displacement beyond the presmoothing, at the farthest moment, up to which one step may go: further, the
     linearisation does not hold."""
     followed_share: float = 0.5
@@ -314,7 +315,7 @@ class PhaseSettings(Settings):
     """Differences in time of the pairs at each level, as shares of the recording; 0 for neighbouring pictures."""
     most_pairs: int = 12
     """Pairs of a level, at most."""
-    band_pixels: tuple[float, float] = (1.0, 5.0)
+    band_px: tuple[float, float] = (1.0, 5.0)
     """Gaussians whose difference is correlated: neither the noise of single pixels nor slow changes of light."""
     least_contrast: float = 1e-4
     """Standard deviation of that difference, intensity, below which a picture has nothing to correlate."""
@@ -326,17 +327,17 @@ class FlowSettings(Settings):
 
     rounds: tuple[int, int, int, int] = (2, 1, 1, 2)
     """Flows at each level of `near_times_frames`."""
-    longest_remainder_pixels: tuple[float, float, float, float] = (10.0, 2.5, 2.5, 2.5)
+    longest_remainder_px: tuple[float, float, float, float] = (10.0, 2.5, 2.5, 2.5)
     """Displacement that a flow may find at each level: once near times agree, a longer one is a failure."""
-    presmoothing_pixels: float = 0.7
+    presmoothing_px: float = 0.7
     """Gaussian presmoothing of the pictures."""
-    precision_pixels: float = 0.25
+    precision_px: float = 0.25
     """Standard deviation, and difference of forward and backward flow, at which the confidence is ½."""
-    disagreement_window_pixels: float = 1.0
+    disagreement_window_px: float = 1.0
     """Gaussian window over which the difference of forward and backward flow is averaged."""
-    median_side_pixels: int = 5
+    median_side_px: int = 5
     """Side of the square whose median replaces each velocity."""
-    fill_window_pixels: float = 5.0
+    fill_window_px: float = 5.0
     """Gaussian window from which velocities without support are filled in."""
 
 
@@ -362,7 +363,7 @@ class TrajectorySettings(Settings):
 
     inverse_steps: int = 8
     """Fixed-point iterations of the inverse, at most."""
-    inverse_tolerance_pixels: float = 1e-4
+    inverse_tolerance_px: float = 1e-4
     """Change below which these iterations end, and deviation up to which a motion is inverted as an affine one."""
     partial_share: float = 0.5
     """Share of a layer at a point between pixel centres from which on the point belongs to it."""

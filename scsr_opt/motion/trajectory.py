@@ -417,7 +417,7 @@ def key_frame_positions(
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
     member = (layers.label == nearest[:, None, None]).astype(np.float32)
     longest = float(np.abs(np.asarray(after)).max())
-    tolerance = settings.inverse_tolerance_pixels
+    tolerance = settings.inverse_tolerance_px
     affine = [affine_numbers(v, a, longest, tolerance) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
     curved = acceleration if acceleration.any() else None

@@ -207,7 +207,7 @@ def test_a_key_frame_near_an_end(key, recording):
 
 
 def test_constant_two_numbers_are_the_velocity_everywhere():
-    """As a tuple, a list or an array; speeds and acceleration follow."""
+    """`Motion.constant` takes the velocity as a tuple, a list or an array; its speed and acceleration agree with it."""
     for pair in ((0.5, -1.0), [0.5, -1], np.array([0.5, -1.0]), np.array([0.5, -1.0], np.float32)):
         motion = Motion.constant(pair, (4, 6))
         assert motion.velocity.shape == (2, 4, 6) and motion.velocity.dtype == np.float32

@@ -64,7 +64,8 @@ def test_presmoothed_is_computed_once_for_a_width():
 
 
 def test_part_cuts_presmoothed_pictures_of_the_whole_sensor():
-    """Those that are cut out are exact at the border of the part, where its own values would be continued."""
+    """Pictures that were smoothed before they were cut are exact at the border of the part; those that are smoothed
+    afterwards see their own border values continued."""
     pictures = MotionFrames(jnp.asarray(RANDOM.normal(size=(3, 40, 44)).astype(np.float32)), jnp.arange(3.0))
     box = (slice(10, 30), slice(8, 36))
     whole = pictures.presmoothed(1.0)[:, *box]

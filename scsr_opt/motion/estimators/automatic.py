@@ -120,12 +120,12 @@ class Automatic(Estimator):
         if self.simple_motion and rests:
             return still, True
         several = _needs_several_motions(resting, moving, choice)
-        presmoothed = (settings.comparison.presmoothing_pixels,)
+        presmoothed = (settings.comparison.presmoothing_px,)
         if self.simple_motion and several:
             whole, left = still, moving
         else:
             whole, left = global_motion(pictures, settings=settings)
-            presmoothed += settings.parametric.presmoothing_pixels
+            presmoothed += settings.parametric.presmoothing_px
         # Where most pixels fire too seldom to contradict a motion, a lack of contradiction is no evidence.
         unobservable = observable(pictures, whole, settings).mean() < choice.observable_share
         possible = not several and (not unobservable or counts_agree(pictures, whole, settings))
@@ -175,7 +175,7 @@ def _needs_several_motions(
     A component of an affine motion that is at most ε at some points is at most ε in their convex hull, and at most 3ε
     in the hull enlarged by 2 about its middle. Fewer pixels at rest than `resting_share` may be so by mistake.
     """
-    resting = cast(np.ndarray, ndimage.binary_opening(resting, iterations=settings.resting_opening_pixels))
+    resting = cast(np.ndarray, ndimage.binary_opening(resting, iterations=settings.resting_opening_iterations))
     places = np.argwhere(resting)
     if not moving.any() or len(places) < max(3, settings.resting_share * resting.size):
         return False
@@ -214,7 +214,7 @@ class _SeparateMotion:
         part = self.pictures.part(*used, presmoothed=self.presmoothed)
         before = self.background.part(*used)
         everywhere = dense(part, start=before, settings=settings)
-        noise = typical_noise(part, everywhere, settings.comparison.presmoothing_pixels)
+        noise = typical_noise(part, everywhere, settings.comparison.presmoothing_px)
         sparse = self.simple_motion and everywhere.speed.size >= choice.sparse_from_pixels
 
         def prediction(motion: Motion) -> Prediction:
@@ -269,7 +269,7 @@ class _SeparateMotion:
         """The motion of least residual, and that: of the layers that serve, or else of the dense estimate; of the
         background where no layers were found."""
         choice, total = self.settings.choice, self.unexplained.size
-        edge = self.settings.layers.edge_pixels
+        edge = self.settings.layers.edge_px
 
         def judged(make: Callable[[], Motion]) -> tuple[Motion, Prediction, bool]:
             motion = make()
@@ -294,7 +294,7 @@ class _SeparateMotion:
 
 def _box(mask: Bool[np.ndarray, "h w"], settings: ChoiceSettings) -> tuple[slice, slice]:
     """The rows and columns of a mask, with a margin; all of them where the box would hardly be smaller."""
-    margin, step = settings.margin_pixels, settings.box_step_pixels
+    margin, step = settings.margin_px, settings.box_step_px
     sides = []
     for axis, length in enumerate(mask.shape):
         some = np.flatnonzero(mask.any(1 - axis))
@@ -444,6 +444,6 @@ def corrected_frames(
 
     if good is not None:
         # Where hardly any pixel around is good, what is filled in does not move, and must not contradict a motion.
-        around = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(limits.repair_window_pixels))
+        around = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(limits.repair_window_px))
         firing = jnp.where(around > limits.repair_good_share, filled(firing[None], good)[0], 0)
     return MotionFrames(mended(picture), found.after, firing, lambda: mended(counted()), found.cutoff)

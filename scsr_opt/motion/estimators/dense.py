@@ -37,7 +37,7 @@ def dense(pictures: MotionFrames, *, start: Motion | None = None, settings: Moti
     start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
     options = settings.dense
     reaches = (*settings.comparison.near_times_frames, np.inf)
-    values = zip(reaches, options.presmoothing_pixels, options.window_pixels, options.steps, strict=True)
+    values = zip(reaches, options.presmoothing_px, options.window_px, options.steps, strict=True)
     unused = np.zeros(() if pictures.firing is None else pictures.firing.shape, np.float32)
     return _searched(pictures, start, start, [_Level(_VELOCITY, *each) for each in values], unused, options)
 
@@ -59,10 +59,10 @@ def accelerated(
     """
     start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
     options = settings.dense
-    sigma = options.presmoothing_pixels[-1]
+    sigma = options.presmoothing_px[-1]
     turn = [
-        _Level(_ACCELERATION, np.inf, sigma, options.acceleration_window_pixels, 1),
-        _Level(_VELOCITY, np.inf, sigma, options.accelerated_window_pixels, 1),
+        _Level(_ACCELERATION, np.inf, sigma, options.acceleration_window_px, 1),
+        _Level(_VELOCITY, np.inf, sigma, options.accelerated_window_px, 1),
     ]
     turns = options.acceleration_turns if turns is None else turns
     return _searched(pictures, motion, start, turn * turns, _chance_level(pictures, options), options)
@@ -91,7 +91,7 @@ def _searched(
             which=np.int32(level.which),
             # At least three moments, however far apart they are.
             reach=np.float32(max(level.reach, distance[min(2, distance.size - 1)])),
-            bound=np.float32(level.sigma + settings.step_margin_pixels),
+            bound=np.float32(level.sigma + settings.step_margin_px),
             window=np.float32(level.window),
             steps=np.int32(level.steps),
             limit=np.float32(limits[level.which]),
@@ -134,7 +134,7 @@ def _after_level(
     part = (jnp.abs(after) <= search.reach).astype(after.dtype)
     field, information = _refine(pictures, after, part, field, base, search, settings)
     # Single wrong windows are outvoted by their neighbours; an edge between two motions stays.
-    voted = jnp.clip(_median(field[which], settings.median_side_pixels), -search.limit, search.limit)
+    voted = jnp.clip(_median(field[which], settings.median_side_px), -search.limit, search.limit)
     shrunk = jnp.where(which == _ACCELERATION, _shrunk(voted, base[which], information, chance), voted)
     longest = jnp.max(jnp.abs(after) * part)
     return field.at[which].set(shrunk), _confidence(information, longest)
@@ -181,7 +181,7 @@ def _shared_noise(
     firing: Float[Array, "h w"], after: Float[Array, " n"], settings: DenseSettings
 ) -> Float[Array, "h w"]:
     frames = (after[-1] - after[0]) / (after.size - 1)
-    around = smooth(firing, jnp.asarray(settings.acceleration_window_pixels))
+    around = smooth(firing, jnp.asarray(settings.acceleration_window_px))
     return settings.acceleration_chance / jnp.clip(around * frames, settings.least_picture_share, 1)
 
 
@@ -237,7 +237,7 @@ def _refine(
         products = jnp.stack([now.slope[0] ** 2, now.slope[0] * now.slope[1], now.slope[1] ** 2])
         information = smooth(spread[None] * products, window) / noise[None]
         gradient = -smooth(change[None] * now.slope, window) / noise[None]
-        prior = settings.prior_weight * (lever / settings.prior_pixels) ** 2
+        prior = settings.prior_weight * (lever / settings.prior_px) ** 2
         gradient = gradient + prior * (base[which] - field[which])
         a, b, d = information[0] + prior, information[1], information[2] + prior
         determinant = a * d - b * b

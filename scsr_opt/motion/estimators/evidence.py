@@ -22,9 +22,9 @@ def contradicted(
     limits, by = settings.evidence, settings.comparison
     after = np.asarray(pictures.after)
     fields = motion.velocity, motion.acceleration
-    now = drift(pictures.presmoothed(by.presmoothing_pixels), after, np.ones_like(after), fields)
+    now = drift(pictures.presmoothed(by.presmoothing_px), after, np.ones_like(after), fields)
     gain, distance, _ = _score_test(now, after, settings)
-    exceeds = (gain > limits.contradiction_likelihood) & (distance > limits.contradiction_pixels)
+    exceeds = (gain > limits.contradiction_likelihood) & (distance > limits.contradiction_px)
     return exceeds & observable(pictures, motion, settings)
 
 
@@ -34,10 +34,10 @@ def observable(pictures: MotionFrames, motion: Motion, settings: MotionSettings 
     Between two spikes a pixel does not resolve when its light came: what passes within an interval looks as if it stood
     still.
     """
-    firing = pictures.firing_around(settings.comparison.window_pixels)
+    firing = pictures.firing_around(settings.comparison.window_px)
     if firing is None:
         return np.ones(motion.speed.shape, bool)
-    return motion.speed <= settings.evidence.smear_pixels * np.asarray(firing)
+    return motion.speed <= settings.evidence.smear_px * np.asarray(firing)
 
 
 def at_rest(
@@ -49,12 +49,12 @@ def at_rest(
     over the recording would contradict rest, with enough spikes to show it.
     """
     limits, by = settings.evidence, settings.comparison
-    likelihood, pixels = limits.contradiction_likelihood, limits.contradiction_pixels
+    likelihood, pixels = limits.contradiction_likelihood, limits.contradiction_px
     after = np.asarray(pictures.after)
-    gain, distance, least = _score_test(pictures.drift_at_rest(by.presmoothing_pixels), after, settings)
+    gain, distance, least = _score_test(pictures.drift_at_rest(by.presmoothing_px), after, settings)
     moving = (gain > likelihood) & (distance > pixels)
     certain = (gain <= likelihood) & (distance <= pixels) & (least > likelihood)
-    firing = pictures.firing_around(by.window_pixels)
+    firing = pictures.firing_around(by.window_px)
     if firing is not None:
         certain &= np.asarray(firing) * np.ptp(after) >= limits.spikes_at_rest
     return moving, certain
@@ -114,7 +114,7 @@ def counts_agree(pictures: MotionFrames, motion: Motion, settings: MotionSetting
     variance is 0.74 to 0.82 and 0.79 to 0.84 of that at rest.
     """
     limits, by = settings.evidence, settings.comparison
-    counts, after = pictures.presmoothed_counts(by.presmoothing_pixels), pictures.after
+    counts, after = pictures.presmoothed_counts(by.presmoothing_px), pictures.after
     if counts is None:
         return True
     fields = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
@@ -122,7 +122,7 @@ def counts_agree(pictures: MotionFrames, motion: Motion, settings: MotionSetting
     # Two moments leave nothing but noise, and one has no variance.
     seen = moving.seen >= limits.counted_moments
     along, still = (jnp.where(seen, now.residual / jnp.maximum(now.seen - 1, 1), 0) for now in (moving, resting))
-    worse = seen & (smooth(along - still, jnp.asarray(by.window_pixels)) > 0)
+    worse = seen & (smooth(along - still, jnp.asarray(by.window_px)) > 0)
     less = float(along.sum()) < limits.counts_variance_ratio * float(still.sum())
     return less and float(worse.sum()) <= limits.counts_worse_share * float(seen.sum())
 
@@ -159,7 +159,7 @@ def predict(
     """
     by = settings.comparison
     every = by.sparse_step if sparse else 1
-    presmoothed, after = pictures.presmoothed(by.presmoothing_pixels), np.asarray(pictures.after)
+    presmoothed, after = pictures.presmoothed(by.presmoothing_px), np.asarray(pictures.after)
     near = (np.abs(after) <= max(by.key_picture_frames, float(np.abs(after).min()))).astype(np.float32)
     key_picture = drift(presmoothed, after, near, (motion.velocity, motion.acceleration)).mean
     position, visible = key_frame_positions(
@@ -199,10 +199,10 @@ def _score_test(
     """Score test (Rao, 1948) of each window's velocity in a motion whose `Drift` is given.
 
     Returns twice the gain in log-likelihood of the best velocity, its displacement from the motion over the recording
-    (sensor pixels), and the least gain that a displacement of `contradiction_pixels` would have.
+    (sensor pixels), and the least gain that a displacement of `contradiction_px` would have.
     """
-    window = np.float32(settings.comparison.window_pixels)
-    gain, distance, least = _score(now, np.abs(after).max(), window, settings.evidence.contradiction_pixels)
+    window = np.float32(settings.comparison.window_px)
+    gain, distance, least = _score(now, np.abs(after).max(), window, settings.evidence.contradiction_px)
     return np.asarray(gain), np.asarray(distance), np.asarray(least)
 
 

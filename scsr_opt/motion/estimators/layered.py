@@ -60,7 +60,7 @@ def layered(
     motions = _layer_motions(
         pictures, background, everywhere, moving, fastest, total, simple_motion=simple_motion, settings=settings
     )
-    noise = typical_noise(pictures, everywhere, options.presmoothing_pixels)
+    noise = typical_noise(pictures, everywhere, options.presmoothing_px)
     number = len(motions)
     first = number - 1 if number > 2 and motions[-1] is everywhere else number
 
@@ -87,7 +87,7 @@ def relabelled(pictures: MotionFrames, motion: Motion, settings: MotionSettings 
         Motion(velocity, acceleration, motion.confidence)
         for velocity, acceleration in zip(layers.velocity, layers.acceleration, strict=True)
     ]
-    noise = typical_noise(pictures, motion, settings.layers.presmoothing_pixels)
+    noise = typical_noise(pictures, motion, settings.layers.presmoothing_px)
     label = _labels([_mismatch(pictures, one, noise, settings) for one in each], settings).astype(np.int32)
     return Motion.of_layers(eqx.tree_at(lambda found: found.label, layers, label), motion.confidence)
 
@@ -153,7 +153,7 @@ def _layer_motions(
     tried, unexplained = np.zeros_like(moving), moving
     for _ in range(options.most_layers):
         left = unexplained & ~tried
-        regions, number = _regions(left, options.closing_pixels)
+        regions, number = _regions(left, options.closing_px)
         if number == 0:
             break
         sizes = np.bincount(regions[left].ravel(), minlength=number + 1)[1:]
@@ -259,7 +259,7 @@ def _refitted_inside(
     """The motion fitted once more, to the inside of its layer, whose edge shows some of the next layer; the one of the
     two along which pictures vary less there."""
     options = settings.layers
-    inside = cast(np.ndarray, ndimage.binary_erosion(member, iterations=options.edge_pixels))
+    inside = cast(np.ndarray, ndimage.binary_erosion(member, iterations=options.edge_px))
     if inside.sum() < options.least_pixels:
         return motion
     found = parametric(pictures, start=motion, where=inside, fitted=True, sparse=sparse, settings=settings)
@@ -268,7 +268,7 @@ def _refitted_inside(
     inside = inside[::every, ::every]
 
     def variance(one: Motion) -> float:
-        of = variance_along(pictures, one, settings.comparison.presmoothing_pixels, every=every)
+        of = variance_along(pictures, one, settings.comparison.presmoothing_px, every=every)
         return float(of[inside].mean())
 
     before, after = in_threads(variance, (motion, found))
@@ -278,7 +278,7 @@ def _refitted_inside(
 def _labels(mismatches: list[Float[np.ndarray, "h w"]], settings: MotionSettings) -> Int[np.ndarray, "h w"]:
     """The layer of each key-frame pixel: that of least mismatch, regularised by its neighbours' layers."""
     mismatch, options = np.stack(mismatches), settings.layers
-    label = _regularised_labels(mismatch, settings.comparison.neighbourhood_pixels, options)
+    label = _regularised_labels(mismatch, settings.comparison.neighbourhood_px, options)
     return _islands_merged(np.asarray(label), mismatch, options)
 
 
@@ -350,9 +350,9 @@ def _mismatch(
     """Mean squared difference of the pictures along a motion from the key frame's, in units of the variance `noise`."""
     options, cap = settings.layers, settings.comparison.residual_cap
     fields = (motion.velocity, motion.acceleration) if motion.moves else None
-    sharp = pictures.presmoothed(options.presmoothing_pixels)
+    sharp = pictures.presmoothed(options.presmoothing_px)
     sides = _mismatch_of_sides(sharp, pictures.after, fields, np.float32(noise), cap, options)
-    sides = ndimage.gaussian_filter(np.asarray(sides), (0, options.support_pixels, options.support_pixels))
+    sides = ndimage.gaussian_filter(np.asarray(sides), (0, options.support_px, options.support_px))
     better = options.better_side_weight
     return better * sides.min(0) + (1 - better) * sides.mean(0)
 
@@ -422,7 +422,7 @@ def _depth(
     """The number of other layers that each one is in front of: where two of them come to lie on one pixel, the pixel
     votes for the one that looks more like what it shows. `sparse`: only a sparse grid of pixels votes."""
     by, cap = settings.comparison, settings.layers.vote_cap
-    sharp, every = pictures.presmoothed(settings.layers.presmoothing_pixels), by.sparse_step if sparse else 1
+    sharp, every = pictures.presmoothed(settings.layers.presmoothing_px), by.sparse_step if sparse else 1
     number, some = len(layers.depth), slice(None, None, by.picture_step)
     voting = np.asarray(sharp)[some, ::every, ::every]
     after = np.asarray(pictures.after)

@@ -48,12 +48,12 @@ class _PlaybackFlow(Estimator):
         velocity = np.zeros((2, height, width), np.float32)
         confidence = np.zeros((height, width), np.float32)
         options, by = self.settings.flow, self.settings.comparison
-        if min(height, width) < by.least_side_pixels:
+        if min(height, width) < by.least_side_px:
             return Motion.of_velocity(velocity, confidence)
-        images = gaussian_filter(images, options.presmoothing_pixels, axes=(1, 2), mode="nearest")
+        images = gaussian_filter(images, options.presmoothing_px, axes=(1, 2), mode="nearest")
         uniform = PhaseCorrelation(settings=self.settings)(pictures).velocity
         before: list[int] = []
-        levels = zip((*by.near_times_frames, np.inf), options.rounds, options.longest_remainder_pixels, strict=True)
+        levels = zip((*by.near_times_frames, np.inf), options.rounds, options.longest_remainder_px, strict=True)
         for reach, rounds, longest in levels:
             chosen = np.flatnonzero(np.abs(times) <= reach).tolist()
             if len(chosen) < 2:  # a key frame at one end, long stretches: the two nearest
@@ -86,10 +86,10 @@ class _PlaybackFlow(Estimator):
         )
         there = np.indices(first.shape, np.float32) + forward
         back = np.stack([map_coordinates(part, there, order=1, mode="nearest") for part in backward])
-        disagreement = gaussian_filter(((forward + back) ** 2).sum(0), options.disagreement_window_pixels)
+        disagreement = gaussian_filter(((forward + back) ** 2).sum(0), options.disagreement_window_px)
         moved = map_coordinates(second, there, order=1, mode="nearest")
-        variance = _variance((first + moved) / 2, first - moved, self.settings.comparison.window_pixels)
-        confidence = 1 / (1 + (disagreement + variance) / options.precision_pixels**2)
+        variance = _variance((first + moved) / 2, first - moved, self.settings.comparison.window_px)
+        confidence = 1 / (1 + (disagreement + variance) / options.precision_px**2)
         # The mean of forward and reversed backward flow: a failure in one of them is often none in the other.
         return (forward - back) / 2, confidence.astype(np.float32)
 
@@ -184,8 +184,8 @@ def _filled(
     velocity: Float[np.ndarray, "2 h w"], confidence: Float[np.ndarray, "h w"], settings: FlowSettings
 ) -> Float[np.ndarray, "2 h w"]:
     """Velocity without single outliers, and filled in from the neighbourhood where its confidence is low."""
-    window = settings.fill_window_pixels
-    velocity = median_filter(velocity, size=settings.median_side_pixels, axes=(1, 2), mode="nearest")
+    window = settings.fill_window_px
+    velocity = median_filter(velocity, size=settings.median_side_px, axes=(1, 2), mode="nearest")
     weight = confidence**2 + np.float32(1e-6)
     around = gaussian_filter(velocity * weight, window, axes=(1, 2)) / gaussian_filter(weight, window)
     return (confidence * velocity + (1 - confidence) * around).astype(np.float32)

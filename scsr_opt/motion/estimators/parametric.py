@@ -130,7 +130,7 @@ def _start_numbers(
         here = np.ones(fields.shape[2:], bool) if where is None else where
         known, basis = start.velocity[:, here].reshape(2, -1), fields[:, :, here].reshape(_GENERATORS, -1)
         varies = float(np.ptp(known, axis=1).max() * longest) if known.size else 0.0
-        active[0, _LINEAR] = affine and varies > settings.varying_pixels
+        active[0, _LINEAR] = affine and varies > settings.varying_px
         numbers[0, active[0]] = np.linalg.lstsq(basis[active[0]].T, known.ravel(), rcond=None)[0]
     return numbers, active
 
@@ -153,7 +153,7 @@ def _levels(
     """The levels that have two pictures or more; without the nearest times if not for the `whole` scene, where a start
     is known."""
     options, reaches = settings.parametric, (*settings.comparison.near_times_frames, np.inf)
-    levels = list(zip(reaches, options.presmoothing_pixels, options.most_steps, strict=True))
+    levels = list(zip(reaches, options.presmoothing_px, options.most_steps, strict=True))
     for reach, sigma, steps in levels[-1:] if last_only else levels if whole else levels[1:]:
         near = np.flatnonzero(np.abs(after) <= reach)
         if near.size < 2:
@@ -219,7 +219,7 @@ def _points(
     interval = np.zeros(size, np.float32)
     # Not in a region: it may hold several surfaces, and the rate of firing then says which, not how well it is seen.
     if firing is not None and where is None:
-        around = gaussian_filter(np.asarray(firing), settings.firing_window_pixels, mode="nearest")[row, column]
+        around = gaussian_filter(np.asarray(firing), settings.firing_window_px, mode="nearest")[row, column]
         interval = 1 / np.maximum(around, settings.least_firing_rate)
     return _Points(position, generators(position, height, width), block_of.astype(np.int32), region, interval)
 
@@ -236,7 +236,7 @@ def shows_global_motion(pictures: MotionFrames, settings: MotionSettings = DEFAU
     if after.size < 2:  # one picture shows no motion
         return False
     _, equations = _fit(
-        pictures.presmoothed(options.presmoothing_pixels[-1]), pictures.after, np.array((0, after.size), np.int32),
+        pictures.presmoothed(options.presmoothing_px[-1]), pictures.after, np.array((0, after.size), np.int32),
         _points(height, width, None, pictures.firing, settings=options), np.zeros(none.shape, np.float32), none,
         _Limits(np.int32(0), np.float32(0), np.float32(options.agreeing_share)), options,
     )  # fmt: skip

@@ -53,10 +53,10 @@ class PhaseCorrelation(Estimator):
                 f"The recording gives {number} picture(s), but phase correlation compares at least two: "
                 "use more frames."
             )
-        options, least = self.settings.phase, self.settings.comparison.least_side_pixels
+        options, least = self.settings.phase, self.settings.comparison.least_side_px
         if min(height, width) < least:
             return _no_motion(height, width)
-        fine, coarse = (gaussian_filter(images, sigma, axes=(1, 2)) for sigma in options.band_pixels)
+        fine, coarse = (gaussian_filter(images, sigma, axes=(1, 2)) for sigma in options.band_px)
         contrast = fine - coarse
         if not (contrast.std((1, 2)) > options.least_contrast).all():
             return _no_motion(height, width)

@@ -5,13 +5,14 @@ That is q + d(q, τ) = p with d = v τ + ½ a τ²: at once where the motion is 
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
 
 Place = TypeVar("Place")
@@ -43,10 +44,11 @@ def inverse(
     velocity, acceleration = np.asarray(velocity), np.asarray(acceleration)
     longest = float(np.abs(np.asarray(after)).max())
     affine, numbers = affine_numbers(velocity, acceleration, longest, settings.inverse_tolerance_px)
+    if affine:
+        return on_device(_affine_inverses(numbers, np.asarray(after), velocity.shape[1:], every))
     # Interpolation takes most of the time, and a field of zeros needs none.
-    return _inverses(
-        velocity, acceleration if np.any(acceleration) else None, np.asarray(affine), numbers, after, every, settings
-    )
+    curved = acceleration if np.any(acceleration) else None
+    return _inverses(velocity, curved, after, every, settings)
 
 
 def affine_numbers(
@@ -79,17 +81,41 @@ def affine_field(
     return np.stack([begin + down * rows + right * columns for begin, down, right in numbers])
 
 
+def _affine_inverses(
+    numbers: Float[np.ndarray, "2 2 3"], after: Float[np.ndarray, " n"], shape: tuple[int, int], every: int
+) -> Float[np.ndarray, "n 2 rows columns"]:
+    """`inverse` of an affine motion."""
+    rows, columns = (np.arange(0, length, every, dtype=np.float32) for length in shape)
+    found = np.empty((after.size, 2, rows.size, columns.size), np.float32)
+    for tau, place in zip(after, found, strict=True):
+        place[0], place[1] = _affine_inverse(numbers, tau, rows[:, None], columns)
+    return found
+
+
+def _affine_inverse(
+    numbers: Float[Array | np.ndarray, "2 2 3"],
+    tau: Float[Array | np.floating, ""],
+    rows: Float[Array | np.ndarray, "rows _"],
+    columns: Float[Array | np.ndarray, "... columns"],
+) -> tuple[Any, Any]:
+    """Down and right of `inverse` at one moment in closed form, by NumPy or JAX: q + d + D q = p, d and D those of the
+    moment."""
+    (down, a, b), (right, c, d) = numbers[0] * tau + numbers[1] * (tau**2 / 2)
+    a, d = 1 + a, 1 + d
+    determinant = a * d - b * c
+    below, beside = rows - down, columns - right
+    return (d * below - b * beside) / determinant, (a * beside - c * below) / determinant
+
+
 @partial(jax.jit, static_argnames=("every", "settings"))
 def _inverses(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,
-    affine: Bool[Array, ""],
-    numbers: Float[Array, "2 2 3"],
     after: Float[Array, " n"],
     every: int,
     settings: TrajectorySettings,
 ) -> Float[Array, "n 2 rows columns"]:
-    return jax.lax.map(lambda tau: inverse_at(velocity, acceleration, affine, numbers, tau, every, settings), after)
+    return jax.lax.map(lambda tau: _iterated_inverse(velocity, acceleration, tau, every, settings), after)
 
 
 def inverse_at(
@@ -103,6 +129,22 @@ def inverse_at(
 ) -> Float[Array, "2 rows columns"]:
     """`inverse` at one moment, to be called inside `jit`: `acceleration` is None where it is zero, and `affine` and
     `numbers` are those of `affine_numbers`."""
+
+    def solved() -> Float[Array, "2 rows columns"]:
+        rows, columns = jnp.indices(velocity.shape[1:], velocity.dtype)[:, ::every, ::every]
+        return jnp.stack(_affine_inverse(numbers, tau, rows, columns))
+
+    return jax.lax.cond(affine, solved, lambda: _iterated_inverse(velocity, acceleration, tau, every, settings))
+
+
+def _iterated_inverse(
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"] | None,
+    tau: Float[Array, ""],
+    every: int,
+    settings: TrajectorySettings,
+) -> Float[Array, "2 rows columns"]:
+    """`inverse` at one moment by fixed-point iteration."""
     here = jnp.indices(velocity.shape[1:], velocity.dtype)[:, ::every, ::every]
     fields = [velocity] if acceleration is None else [velocity, acceleration]
     powers = tau, 0.5 * tau**2
@@ -122,16 +164,8 @@ def inverse_at(
         unfinished = (done < settings.inverse_steps) & (change > settings.inverse_tolerance_px)
         return (done == 0) | unfinished
 
-    def solved() -> Float[Array, "2 rows columns"]:
-        # q + d + D q = p, d and D those of the moment.
-        of = numbers[0] * tau + numbers[1] * (0.5 * tau**2)
-        (a, b), (c, d) = jnp.eye(2, dtype=of.dtype) + of[:, 1:]
-        down, right = here[0] - of[0, 0], here[1] - of[1, 0]
-        determinant = a * d - b * c
-        return jnp.stack([(d * down - b * right) / determinant, (a * right - c * down) / determinant])
-
     begin = list(here), list(here), jnp.zeros((), jnp.int32)
-    return jax.lax.cond(affine, solved, lambda: jnp.stack(jax.lax.while_loop(go_on, refine, begin)[0]))
+    return jnp.stack(jax.lax.while_loop(go_on, refine, begin)[0])
 
 
 class Corner(NamedTuple):
@@ -160,6 +194,17 @@ def interpolated(picture: Float[Array, "h w"], at: Corner) -> Float[Array, "..."
     a, b, c, d = (flat.at[at.number + offset].get(mode="promise_in_bounds") for offset in offsets)
     upper, lower = a + at.right * (b - a), c + at.right * (d - c)
     return upper + at.down * (lower - upper)
+
+
+@jax.jit
+def read_picture(
+    picture: Float[Array | np.ndarray, "h w"],
+    row: Float[Array | np.ndarray, "rows columns"],
+    column: Float[Array | np.ndarray, "rows columns"],
+) -> Float[Array, "rows columns"]:
+    """`picture` interpolated bilinearly at (row, column), clamped to its border: a program for use outside `jit`, which
+    does not depend on how many pictures there are."""
+    return interpolated(picture, corner_of(row, column, *picture.shape))
 
 
 def bilinear(field: Float[Array, "c h w"], row: Array, column: Array) -> Float[Array, "c ..."]:

@@ -6,18 +6,15 @@ samples of a moment are weighted by inverse variance: noise of variance N and a 
 sample as good as one of variance N + E.
 """
 
-from functools import partial
+from collections.abc import Iterator
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
 from scsr_opt.motion.estimators.evidence import contradicts_rest
-from scsr_opt.motion.estimators.frames import MotionFrames, along, smooth
-from scsr_opt.motion.inversion import interpolated
+from scsr_opt.motion.estimators.frames import MotionFrames, smoothed
+from scsr_opt.motion.inversion import read_picture
 from scsr_opt.motion.settings import DEFAULTS, MotionSettings
-from scsr_opt.motion.stacks import folded
 from scsr_opt.motion.trajectory import Motion, Trust
 
 
@@ -30,65 +27,71 @@ def with_trust(pictures: MotionFrames, motion: Motion, settings: MotionSettings 
     # Pictures nearer to each other than a pixel's interval between spikes share their light and their error.
     interval = 1 / max(float(np.median(np.asarray(pictures.firing))), 1e-3) if pictures.firing is not None else 1.0
     lag = int(np.clip(np.ceil(interval / (after[1] - after[0])), 1, after.size // 2))
-    presmoothed = pictures.presmoothed(settings.comparison.presmoothing_px)
-    fields = motion.velocity, motion.acceleration
-    share = _worth(presmoothed, pictures.after, *fields, np.int32(lag), settings)
-    trust = Trust(after, np.asarray(share))
-    return Motion(motion.velocity, motion.acceleration, motion.confidence, motion.layers, trust)
+    presmoothed = np.asarray(pictures.presmoothed(settings.comparison.presmoothing_px))
+    return Motion(
+        motion.velocity, motion.acceleration, motion.confidence, motion.layers,
+        Trust(after, _worth(presmoothed, after, motion, lag, settings)),
+    )  # fmt: skip
 
 
-@partial(jax.jit, static_argnames="settings")
 def _worth(
-    pictures: Float[Array, "n h w"],
-    moments: Float[Array, " n"],
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
-    lag: Int[Array, ""],
+    pictures: Float[np.ndarray, "n h w"],
+    moments: Float[np.ndarray, " n"],
+    motion: Motion,
+    lag: int,
     settings: MotionSettings,
-) -> Float[Array, "n h w"]:
-    """N / (N + E) of each moment and pixel; `lag`: difference in number from which on pictures share no interval."""
+) -> Float[np.ndarray, "n h w"]:
+    """N / (N + E) of each moment and pixel; `lag`: difference in number from which on pictures share no interval.
+
+    Picture by picture, so that each is still in the cache when it is used.
+    """
     limits, by = settings.reliability, settings.comparison
-
-    # Picture by picture, so that each is still in the cache when it is used.
-    def moved(one: tuple[Array, Array]) -> tuple[Array, Array]:
-        corner, inside = along(one[1], velocity, acceleration)
-        return interpolated(one[0], corner), inside
-
-    values, inside = jax.lax.map(moved, (pictures, moments))
-    near = jnp.exp(-0.5 * (moments / limits.key_picture_frames) ** 2)[:, None, None] * inside
+    velocity, acceleration = motion.velocity, motion.acceleration
+    values, inside = [np.stack(of) for of in zip(*_along(pictures, moments, velocity, acceleration), strict=True)]
+    near = np.exp(-0.5 * (moments / limits.key_picture_frames) ** 2)
     # The nearest moment always takes part, however far it is.
-    near = near + 1e-6 * (jnp.abs(moments) == jnp.min(jnp.abs(moments))).astype(jnp.float32)[:, None, None]
-    nothing = jnp.zeros_like(values[0])
-
-    def average(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
-        return sums[0] + near[k] * values[k], sums[1] + near[k]
-
-    total, weight = jax.lax.fori_loop(0, values.shape[0], average, (nothing, nothing))
+    alone = np.float32(1e-6) * (np.abs(moments) == np.abs(moments).min())
+    total, weight = (np.zeros_like(values[0]) for _ in range(2))
+    for value, seen, share, least in zip(values, inside, near, alone, strict=True):
+        part = share * seen + least
+        total += part * value
+        weight += part
     present = total / weight
 
     # The noise, from pictures a spike interval apart: a geometric mean, which a few moments that disagree for another
     # reason hardly change. The mean logarithm of a χ² of one degree of freedom is −γ − log 2.
-    def compare(k: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+    logarithms, compared = (np.zeros_like(present) for _ in range(2))
+    for k in range(len(values) - lag):
         both = inside[k] * inside[k + lag]
-        change = (values[k + lag] - values[k]) ** 2 / 2
-        return sums[0] + both * jnp.log(change + 1e-8), sums[1] + both
-
-    logarithms, compared = jax.lax.fori_loop(0, values.shape[0] - lag, compare, (nothing, nothing))
-    geometric = float(np.exp(-np.euler_gamma) / 2)
-    window = jnp.asarray(by.window_px)
-    noise = smooth(jnp.exp(logarithms / jnp.maximum(compared, 1)) / geometric, window) + 1e-6
+        logarithms += both * np.log((values[k + lag] - values[k]) ** 2 / 2 + np.float32(1e-8))
+        compared += both
+    geometric = np.float32(np.exp(-np.euler_gamma) / 2)
+    noise = np.exp(logarithms / np.maximum(compared, 1)) / geometric
+    noise = smoothed(noise, by.window_px) + np.float32(1e-6)
     # A sample has the noise of one pixel, which presmoothing has averaged over several.
-    noise_of_one = noise * (4 * np.pi * by.presmoothing_px**2)
-    neighbourhood = jnp.asarray(by.neighbourhood_px)
+    noise_of_one = noise * np.float32(4 * np.pi * by.presmoothing_px**2)
+    squares = smoothed((values - present) ** 2 * inside, by.neighbourhood_px)
+    squares /= np.maximum(smoothed(inside, by.neighbourhood_px), np.float32(0.1))
+    error = np.maximum(squares - np.float32(limits.chance_ratio) * noise, 0)
+    share = 1 / (1 + np.float32(limits.error_weight) * error / noise_of_one)
+    still = ~(velocity.any(0) | acceleration.any(0))
+    steady = still & (share.min(0) >= limits.steady_worth)
+    return np.where(steady, share.mean(0), share)
 
-    def worth(one: tuple[Array, Array]) -> Array:
-        value, inside = one
-        square = smooth((value - present) ** 2 * inside, neighbourhood)
-        square = square / jnp.maximum(smooth(inside, neighbourhood), 0.1)
-        error = jnp.maximum(square - limits.chance_ratio * noise, 0)
-        return 1 / (1 + limits.error_weight * error / noise_of_one)
 
-    share = jax.lax.map(worth, (values, inside))
-    still = (velocity[0] == 0) & (velocity[1] == 0) & (acceleration[0] == 0) & (acceleration[1] == 0)
-    steady = still & (folded(jnp.minimum, share) >= limits.steady_worth)
-    return jnp.where(steady[None], folded(jnp.add, share)[None] / len(share), share)
+def _along(
+    pictures: Float[np.ndarray, "n h w"],
+    moments: Float[np.ndarray, " n"],
+    velocity: Float[np.ndarray, "2 h w"],
+    acceleration: Float[np.ndarray, "2 h w"],
+) -> Iterator[tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]]:
+    """Each picture along the motion, and 1 where the position is in view, else 0."""
+    height, width = pictures.shape[1:]
+    rows, columns = np.arange(height, dtype=np.float32)[:, None], np.arange(width, dtype=np.float32)
+    for picture, tau in zip(pictures, moments, strict=True):
+        row, column = (
+            here + tau * of + np.float32(0.5) * tau**2 * more
+            for here, of, more in zip((rows, columns), velocity, acceleration, strict=True)
+        )
+        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+        yield np.asarray(read_picture(picture, row, column)), inside.astype(np.float32)

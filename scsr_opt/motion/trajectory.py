@@ -31,6 +31,7 @@ from scsr_opt.motion.inversion import (
     in_turn,
     inverse,
     inverse_at,
+    read_picture,
 )
 from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
 
@@ -257,36 +258,52 @@ class Trajectory(eqx.Module):
     def part(self, rows: slice, columns: slice) -> "Trajectory":
         """The trajectory, (n, 2, rows, columns), of a part of the sensor. The slices need a start and a stop; positions
         count from the part's corner, as its pixels do."""
-        shape = (rows.stop - rows.start, columns.stop - columns.start)
-        if shape == self.position.shape[2:]:
+        if (rows.stop - rows.start, columns.stop - columns.start) == self.position.shape[2:]:
             return self
-        return Trajectory(
-            self.first, *_cut(self.position, self.visible, np.array([rows.start, columns.start], np.int32), shape)
-        )
+        corner = np.array([rows.start, columns.start], np.float32)
+        position = np.asarray(self.position)[..., rows, columns] - corner[:, None, None]
+        return Trajectory(self.first, on_device(position), on_device(np.asarray(self.visible)[:, rows, columns]))
 
     @property
-    def usable(self) -> Float[Array, "n h w"]:
+    def usable(self) -> Float[np.ndarray, "n h w"]:
         """`visible`, and 0 where the point that a pixel sees lies outside the key frame."""
         height, width = self.position.shape[2:]
-        down, right = self.position[:, 0], self.position[:, 1]
         # A tolerance, so that rounding does not take the border row of a scene at rest out of the picture.
-        inside = (down >= -1e-4) & (right >= -1e-4) & (down <= height - 1 + 1e-4) & (right <= width - 1 + 1e-4)
-        return jnp.where(inside, self.visible, 0)
+        lowest, highest = np.float32(-1e-4), np.array([height - 1 + 1e-4, width - 1 + 1e-4], np.float32)
+        found = np.zeros(self.visible.shape, np.float32)
+        position, seen = np.asarray(self.position), np.asarray(self.visible)
+        for share, (down, right), visible in zip(found, position, seen, strict=True):
+            inside = (down >= lowest) & (right >= lowest) & (down <= highest[0]) & (right <= highest[1])
+            np.copyto(share, visible, where=inside)
+        return found
 
     @property
     def speeds(self) -> "Changes":
         """Speed of the key-frame position of the point that each pixel sees, sensor pixels per frame. Large where one
         surface passes in front of another, as the position then jumps from one to the other."""
-        if self.position.shape[0] == 1:
-            return Changes(float(self.first), np.zeros((1, *self.position.shape[2:]), np.float32))
-        return Changes(float(self.first), np.asarray(_speeds(self.position)))
+
+        def speed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+            # Not np.hypot, which takes care of numbers that are not here and ten times as long.
+            (down, right) = after - before
+            return np.sqrt(down**2 + right**2)
+
+        return self._changes(np.asarray(self.position), speed)
 
     @property
     def unsteady(self) -> "Changes":
         """Change of the visibility of the point that each pixel sees, per frame."""
-        if self.visible.shape[0] == 1:
-            return Changes(float(self.first), np.zeros(self.visible.shape, np.float32))
-        return Changes(float(self.first), np.asarray(_unsteady(self.visible)))
+        return self._changes(np.asarray(self.visible), lambda before, after: np.abs(after - before))
+
+    def _changes(self, field: np.ndarray, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> "Changes":
+        """`Changes` of a field (n, …, h, w), by the `change` from a moment to the next, (h, w)."""
+        moments, *_, height, width = field.shape
+        steps = np.zeros((moments, height, width), np.float32)
+        for k in range(moments - 1):
+            steps[k] = change(field[k], field[k + 1]) / np.float32(SPACING)
+        steps[-1] = steps.max(0)
+        for k in range(moments - 2):
+            np.maximum(steps[k], steps[k + 1], out=steps[k])
+        return Changes(float(self.first), steps)
 
 
 class Between(NamedTuple):
@@ -301,50 +318,6 @@ class Between(NamedTuple):
         """The interpolated values of one table."""
         before, after = (table.at[entry].get(mode="promise_in_bounds") for entry in (self.before, self.after))
         return before + self.share * (after - before)
-
-
-@partial(jax.jit, static_argnames="shape")
-def _cut(
-    position: Float[Array, "n 2 h w"],
-    visible: Float[Array, "n h w"],
-    corner: Int[Array | np.ndarray, "2"],
-    shape: tuple[int, int],
-) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
-    """`Trajectory.part` of `shape` pixels from `corner` on; one program serves all corners."""
-    n = position.shape[0]
-    part = jax.lax.dynamic_slice(position, (0, 0, *corner), (n, 2, *shape))
-    seen = jax.lax.dynamic_slice(visible, (0, *corner), (n, *shape))
-    return part - corner.astype(position.dtype)[None, :, None, None], seen
-
-
-@jax.jit
-def _speeds(position: Float[Array, "n 2 h w"]) -> Float[Array, "n h w"]:
-    def square(k: Array | int) -> Float[Array, "h w"]:
-        # Channel by channel: a sum over such an axis took several times as long.
-        down, right = (position[k + 1, i] - position[k, i] for i in (0, 1))
-        return down**2 + right**2
-
-    return jnp.sqrt(_over_two_steps(square, len(position))) / SPACING
-
-
-@jax.jit
-def _unsteady(visible: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
-    return _over_two_steps(lambda k: jnp.abs(visible[k + 1] - visible[k]), len(visible)) / SPACING
-
-
-def _over_two_steps(change: Callable[[Array | int], Float[Array, "h w"]], moments: int) -> Float[Array, "n h w"]:
-    """`Changes.steps` for `change(k)` from moment k to the next: the larger of each two in sequence; the largest of all
-    in the last row."""
-
-    # Step by step, so that pictures stay in the cache: all at once took twice as long.
-    def step(carry: tuple[Array, Array], k: Array) -> tuple[tuple[Array, Array], Float[Array, "h w"]]:
-        before, most = carry
-        now = change(k)
-        return (now, jnp.maximum(most, now)), jnp.maximum(before, now)
-
-    first = change(0)
-    (last, most), larger = jax.lax.scan(step, (first, first), jnp.arange(1, moments - 1))
-    return jnp.concatenate([larger, jnp.stack([last, most])])
 
 
 class Changes(NamedTuple):
@@ -395,7 +368,7 @@ def trajectory_of(
     moments = np.arange(start, stop - 1 + SPACING, SPACING, dtype=np.float32)
     if motion.trust is None and not motion.moves:
         moments = moments[:1]  # at rest one moment serves all
-    after = on_device(moments - np.float32(key))
+    after = moments - np.float32(key)
     position, visible = key_frame_positions(motion, after, settings=settings)
     return Trajectory(on_device(moments[0]), position, _times_trust(motion.trust, visible, position, after))
 
@@ -412,7 +385,7 @@ def key_frame_positions(
     layers = motion.layers
     if layers is None:
         position = inverse(motion.velocity, motion.acceleration, after, every=every, settings=settings)
-        return position, jnp.ones(position.shape[:1] + position.shape[2:], position.dtype)
+        return position, on_device(np.ones(position.shape[:1] + position.shape[2:], np.float32))
     nearest = np.argsort(-layers.depth, kind="stable")
     velocity, acceleration = layers.velocity[nearest], layers.acceleration[nearest]
     member = (layers.label == nearest[:, None, None]).astype(np.float32)
@@ -461,28 +434,19 @@ def _layered_positions(
 
 
 def _times_trust(
-    trust: Trust | None, visible: Float[Array, "m h w"], position: Float[Array, "m 2 h w"], after: Float[Array, " m"]
+    trust: Trust | None,
+    visible: Float[Array, "m h w"],
+    position: Float[Array, "m 2 h w"],
+    after: Float[np.ndarray, " m"],
 ) -> Float[Array, "m h w"]:
     """`visible` times the trust in the motion at the key-frame point that is seen."""
     if trust is None:
         return visible
-    return _times_share(visible, trust.share, trust.after, position, after)
-
-
-@jax.jit
-def _times_share(
-    visible: Float[Array, "m h w"],
-    share: Float[Array, "n h w"],
-    known: Float[Array, " n"],
-    position: Float[Array, "m 2 h w"],
-    after: Float[Array, " m"],
-) -> Float[Array, "m h w"]:
-    def one(moment: tuple[Array, Array, Array]) -> Array:
-        visible, q, tau = moment
-        # Interpolated between two known moments; constant before the first and after the last.
-        at = jnp.interp(tau, known, jnp.arange(known.size, dtype=known.dtype))
-        before = jnp.minimum(at.astype(jnp.int32), known.size - 2)
-        first, second = (bilinear(share[k][None], q[0], q[1])[0] for k in (before, before + 1))
-        return visible * (first + (at - before.astype(at.dtype)) * (second - first))
-
-    return jax.lax.map(one, (visible, position, after))
+    # Interpolated between two known moments; constant before the first and after the last.
+    at = np.interp(after, trust.after, np.arange(trust.after.size))
+    before = np.minimum(at.astype(int), trust.after.size - 2)
+    found = np.array(visible)
+    parts = (at - before).astype(np.float32)
+    for share, (down, right), k, part in zip(found, np.asarray(position), before, parts, strict=True):
+        share *= np.asarray(read_picture(trust.share[k] + part * (trust.share[k + 1] - trust.share[k]), down, right))
+    return on_device(found)

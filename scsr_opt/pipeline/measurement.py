@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
@@ -141,7 +140,7 @@ def measure(
         still = np.mean(still_for >= settings.merged_least_frames)
         worthwhile = longest is not None or still >= settings.merged_least_share
         merged_for = np.minimum(still_for, most) if worthwhile else merged_for
-        run = np.asarray(_runs(path, settings.run_motion_px, settings.steady_weight_change))
+        run = _runs(path, settings.run_motion_px, settings.steady_weight_change)
     samples = sampling(
         clip.spikes, white_rate=clip.white_rate, still_for=merged_for, run=run, bad_pixels=clip.bad_pixels
     )  # fmt: skip
@@ -169,16 +168,20 @@ def measure(
     return Measurements(samples, light, padded, placed, still_for, merged_for, path)
 
 
-@eqx.filter_jit
-def _runs(path: Trajectory, motion_px: float, weight_change: float) -> Int[Array, "blocks h w"]:
+def _runs(path: Trajectory, motion_px: float, weight_change: float) -> Int[np.ndarray, "blocks h w"]:
     """Over how many frames intervals of one frame are merged, for every `RUN_FRAMES` frames (`spike_intervals`)."""
     if path.position.shape[0] == 1:
-        return jnp.full(path.visible.shape, RUN_FRAMES, jnp.int8)
+        return np.full(path.visible.shape, RUN_FRAMES, np.int8)
     assert RUN_FRAMES == SPACING  # each run lies between two moments
-    moved, changed = (jnp.diff(of, axis=0) / SPACING for of in (path.position, path.usable))
-    down, right = moved[:, 0], moved[:, 1]
-    run = jnp.minimum(motion_px / jnp.sqrt(down**2 + right**2), weight_change / jnp.abs(changed))
-    return jnp.clip(jnp.nan_to_num(run, nan=1), 1, RUN_FRAMES).astype(jnp.int8)
+    position, usable = np.asarray(path.position), path.usable
+    found = np.empty((len(usable) - 1, *usable.shape[1:]), np.int8)
+    motion, change = np.float32(motion_px * SPACING), np.float32(weight_change * SPACING)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for k, runs in enumerate(found):
+            down, right = position[k + 1] - position[k]
+            run = np.minimum(motion / np.sqrt(down**2 + right**2), change / np.abs(usable[k + 1] - usable[k]))
+            runs[:] = np.clip(np.nan_to_num(run, nan=1), 1, RUN_FRAMES)
+    return found
 
 
 def _mean_light(clip: Clip, smoothing_px: float) -> Float[np.ndarray, "h w"]:

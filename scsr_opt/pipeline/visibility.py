@@ -12,12 +12,10 @@ a frame or two is too rough to be of use. A scene that is in view for less than 
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float, Int
 
 from scsr_opt.camera.samples import Samples
-from scsr_opt.motion.stacks import folded
 from scsr_opt.motion.trajectory import SPACING, Trajectory
 from scsr_opt.pipeline.settings import SamplingSettings
 
@@ -42,15 +40,15 @@ def cut_to_seen(
     """
     if len(path.position) == 1:
         return samples
-    every, partly = _usable(path, settings.visible_least_share)
-    partly = np.asarray(partly)
+    every = path.usable
+    partly = every.min(0) < settings.visible_least_share * every.max(0)
     # Of several intervals that were merged it is not known in which part the spikes lay.
     duration = samples.stop - samples.start
     single = samples.value * duration < 1.5 / white_rate
     chosen = np.flatnonzero(partly[samples.row, samples.column] & single & (duration >= settings.cut_least_frames))
     if chosen.size == 0:
         return samples
-    usable = np.asarray(every).reshape(len(every), -1)[:, partly.reshape(-1)]
+    usable = every.reshape(len(every), -1)[:, partly.reshape(-1)]
     number = np.cumsum(partly).reshape(partly.shape) - 1
     start, stop = (np.asarray(times)[chosen] for times in (samples.start, samples.stop))
     pixel = number[samples.row[chosen], samples.column[chosen]]
@@ -107,11 +105,3 @@ def _longest_stretch(
         longer = good & (time - since[some] > longest[1, some] - longest[0, some])
         longest[:, some[longer]] = since[some[longer]], time[longer]
     return longest[0], longest[1], least
-
-
-@eqx.filter_jit
-def _usable(path: Trajectory, visible_least_share: float) -> tuple[Float[Array, "n h w"], Bool[Array, "h w"]]:
-    """Weight of each pixel at the trajectory's moments, (n, h, w), and the pixels, (h, w), whose least weight is below
-    the visible share of their largest."""
-    usable = path.usable
-    return usable, folded(jnp.minimum, usable) < visible_least_share * folded(jnp.maximum, usable)

@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 from scipy import ndimage
@@ -15,6 +14,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError
 
 from scsr_opt._arrays import as_array
+from scsr_opt._kernels.device import on_device
 from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
 from scsr_opt._validation import check_type, pixel_gain, whole
@@ -32,7 +32,7 @@ from scsr_opt.motion.estimators.evidence import (
     predict,
     typical_noise,
 )
-from scsr_opt.motion.estimators.frames import MotionFrames, filled, motion_frames, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, filled, motion_frames, smoothed
 from scsr_opt.motion.estimators.layered import layered, relabelled
 from scsr_opt.motion.estimators.parametric import parametric, shows_global_motion
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
@@ -163,7 +163,7 @@ def _without_flicker(pictures: MotionFrames, settings: ChoiceSettings) -> Motion
     if np.ptp(light) <= settings.flicker_share * np.median(light):  # also where there is no light
         return None
     light = np.maximum(light, settings.lit_ratio * light.max())
-    even = pictures.picture / jnp.asarray(light)[:, None, None]
+    even = on_device(shown / light[:, None, None].astype(np.float32))
     return MotionFrames(even, pictures.after, pictures.firing, cutoff=pictures.cutoff)
 
 
@@ -344,7 +344,7 @@ def global_motion(
 def _contradicting(pictures: MotionFrames, motion: Motion, settings: MotionSettings) -> Bool[np.ndarray, "h w"]:
     """The pixels that contradict a motion of the whole scene; all pixels, if the motion carries most of them out of
     view, where nothing can contradict it, and the counts of spikes do not agree with it."""
-    longest = float(jnp.max(jnp.abs(pictures.after)))
+    longest = float(np.abs(np.asarray(pictures.after)).max())
     far = settings.choice.out_of_view_share * np.array(pictures.picture.shape[1:])
     leaves = np.abs(np.median(motion.velocity, axis=(1, 2))) * longest > far
     if leaves.any() and not counts_agree(pictures, motion, settings):
@@ -439,11 +439,12 @@ def corrected_frames(
     good = None if bad_pixels is None or not bad_pixels.any() else ~bad_pixels
 
     def mended(of: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
-        over = of if gain is None else of / jnp.asarray(gain, jnp.float32)[None]
+        over = of if gain is None else on_device(np.asarray(of) / np.asarray(gain, np.float32))
         return over if good is None else filled(over, good)
 
     if good is not None:
         # Where hardly any pixel around is good, what is filled in does not move, and must not contradict a motion.
-        around = smooth(jnp.asarray(good, firing.dtype), jnp.asarray(limits.repair_window_px))
-        firing = jnp.where(around > limits.repair_good_share, filled(firing[None], good)[0], 0)
+        around = smoothed(good.astype(np.float32), limits.repair_window_px)
+        lit = np.asarray(filled(firing, good))
+        firing = on_device(np.where(around > limits.repair_good_share, lit, np.float32(0)))
     return MotionFrames(mended(picture), found.after, firing, lambda: mended(counted()), found.cutoff)

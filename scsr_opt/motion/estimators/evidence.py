@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from scsr_opt.motion.estimators.frames import Drift, MotionFrames, along, drift, smooth
+from scsr_opt.motion.estimators.frames import Drift, MotionFrames, along, drift, resting_drift, smoothed
 from scsr_opt.motion.inversion import Corner, bilinear, in_turn, interpolated
 from scsr_opt.motion.settings import DEFAULTS, ComparisonSettings, MotionSettings
 from scsr_opt.motion.trajectory import Motion, key_frame_positions
@@ -37,7 +37,7 @@ def observable(pictures: MotionFrames, motion: Motion, settings: MotionSettings 
     firing = pictures.firing_around(settings.comparison.window_px)
     if firing is None:
         return np.ones(motion.speed.shape, bool)
-    return motion.speed <= settings.evidence.smear_px * np.asarray(firing)
+    return motion.speed <= settings.evidence.smear_px * firing
 
 
 def at_rest(
@@ -56,7 +56,7 @@ def at_rest(
     certain = (gain <= likelihood) & (distance <= pixels) & (least > likelihood)
     firing = pictures.firing_around(by.window_px)
     if firing is not None:
-        certain &= np.asarray(firing) * np.ptp(after) >= limits.spikes_at_rest
+        certain &= firing * np.ptp(after) >= limits.spikes_at_rest
     return moving, certain
 
 
@@ -114,15 +114,18 @@ def counts_agree(pictures: MotionFrames, motion: Motion, settings: MotionSetting
     variance is 0.74 to 0.82 and 0.79 to 0.84 of that at rest.
     """
     limits, by = settings.evidence, settings.comparison
-    counts, after = pictures.presmoothed_counts(by.presmoothing_px), pictures.after
+    counts, after = pictures.presmoothed_counts(by.presmoothing_px), np.asarray(pictures.after)
     if counts is None:
         return True
-    fields = jnp.asarray(motion.velocity), jnp.asarray(motion.acceleration)
-    moving, resting = (drift(counts, after, jnp.ones_like(after), each) for each in (fields, None))
+    resting = resting_drift(np.asarray(counts), after)
+    moving = drift(counts, after, np.ones_like(after), (motion.velocity, motion.acceleration))
     # Two moments leave nothing but noise, and one has no variance.
-    seen = moving.seen >= limits.counted_moments
-    along, still = (jnp.where(seen, now.residual / jnp.maximum(now.seen - 1, 1), 0) for now in (moving, resting))
-    worse = seen & (smooth(along - still, jnp.asarray(by.window_px)) > 0)
+    seen = np.asarray(moving.seen) >= limits.counted_moments
+    along, still = (
+        np.where(seen, np.asarray(now.residual) / np.maximum(np.asarray(now.seen) - 1, 1), 0)
+        for now in (moving, resting)
+    )
+    worse = seen & (smoothed(along - still, by.window_px) > 0)
     less = float(along.sum()) < limits.counts_variance_ratio * float(still.sum())
     return less and float(worse.sum()) <= limits.counts_worse_share * float(seen.sum())
 
@@ -201,23 +204,17 @@ def _score_test(
     Returns twice the gain in log-likelihood of the best velocity, its displacement from the motion over the recording
     (sensor pixels), and the least gain that a displacement of `contradiction_px` would have.
     """
-    window = np.float32(settings.comparison.window_px)
-    gain, distance, least = _score(now, np.abs(after).max(), window, settings.evidence.contradiction_px)
-    return np.asarray(gain), np.asarray(distance), np.asarray(least)
-
-
-@partial(jax.jit, static_argnames="pixels")
-def _score(
-    now: Drift, longest: Float[Array, ""], window: Float[Array, ""], pixels: float
-) -> tuple[Float[Array, "h w"], Float[Array, "h w"], Float[Array, "h w"]]:
-    noise = smooth(now.residual / jnp.maximum(now.seen, 1), window) + 1e-8
-    samples = 4 * np.pi * window**2  # effective number of pixels in a Gaussian window
-    information = (
-        smooth(now.spread[:1, :1] * now.slope[:, None] * now.slope[None], window) / noise[None, None] * samples
-    )
-    pull = -smooth(now.change[:1] * now.slope, window) / noise[None] * samples
-    a, b, d = information[0, 0] + 1e-3, information[0, 1], information[1, 1] + 1e-3
-    down, right = (d * pull[0] - b * pull[1]) / (a * d - b * b), (a * pull[1] - b * pull[0]) / (a * d - b * b)
-    poorest = (a + d) / 2 - jnp.sqrt(((a - d) / 2) ** 2 + b * b)
-    gain = pull[0] * down + pull[1] * right
-    return gain, jnp.sqrt(down**2 + right**2) * longest, poorest * (pixels / longest) ** 2
+    window, pixels = settings.comparison.window_px, settings.evidence.contradiction_px
+    now, longest = Drift(*map(np.asarray, now)), np.abs(after).max()
+    (down, right), spread, change = now.slope, now.spread[0, 0], now.change[0]
+    fields = [now.residual / np.maximum(now.seen, 1)]
+    fields += [spread * down * down, spread * down * right, spread * right * right, -change * down, -change * right]
+    noise, a, b, d, pull, pull_right = smoothed(np.stack(fields), window)
+    samples = np.float32(4 * np.pi * window**2)  # effective number of pixels in a Gaussian window
+    a, b, d, pull, pull_right = (of / (noise + np.float32(1e-8)) * samples for of in (a, b, d, pull, pull_right))
+    a, d = a + np.float32(1e-3), d + np.float32(1e-3)
+    determinant = a * d - b * b
+    down, right = (d * pull - b * pull_right) / determinant, (a * pull_right - b * pull) / determinant
+    poorest = (a + d) / 2 - np.sqrt(((a - d) / 2) ** 2 + b * b)
+    gain = pull * down + pull_right * right
+    return gain, np.hypot(down, right) * longest, poorest * (pixels / longest) ** 2

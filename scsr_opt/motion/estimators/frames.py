@@ -17,8 +17,9 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.sparse import sparse_pixels
@@ -78,25 +79,24 @@ class MotionFrames:
         mistaken for its neighbour."""
         if sigma in self.known:
             return self.known[sigma]
-        return smooth(self.picture, jnp.asarray(sigma, jnp.float32), jnp.asarray(self.cutoff))
+        return on_device(smoothed(self.picture, sigma, self.cutoff))
 
     @_cached
     def drift_at_rest(self, sigma: float) -> "Drift":
-        """`drift` without motion, of all pictures presmoothed by `sigma` sensor pixels."""
-        after = np.asarray(self.after)
-        return drift(self.presmoothed(sigma), after, np.ones_like(after), None)
+        """`Drift` without motion, of all pictures presmoothed by `sigma` sensor pixels."""
+        return resting_drift(np.asarray(self.presmoothed(sigma)), np.asarray(self.after))
 
     @_cached
     def presmoothed_counts(self, sigma: float) -> Float[Array, "n h w"] | None:
         """Spikes per frame in each stretch, blurred by a Gaussian of `sigma` sensor pixels; None if unknown."""
         if self.counted is None:
             return None
-        return smooth(self.counted(), jnp.asarray(sigma, jnp.float32), jnp.asarray(self.cutoff))
+        return on_device(smoothed(self.counted(), sigma, self.cutoff))
 
     @_cached
-    def firing_around(self, window: float) -> Float[Array, "h w"] | None:
+    def firing_around(self, window: float) -> Float[np.ndarray, "h w"] | None:
         """Spikes per frame, averaged by a Gaussian of `window` sensor pixels; None if unknown."""
-        return None if self.firing is None else smooth(self.firing, jnp.asarray(window))
+        return None if self.firing is None else smoothed(self.firing, window)
 
     def from_moment(self, after: float) -> "MotionFrames":
         """These pictures with times counted from the moment that is `after` frames from the key frame."""
@@ -144,7 +144,7 @@ def motion_frames(
     middle = (edges[1:] + edges[:-1]) / 2 - key
     rates = interval_rates(spikes, edges, white_rate=white_rate)
     firing = spike_counts(spikes).astype(np.float32) / np.float32(frames)
-    picture, after, firing = (jnp.asarray(each, jnp.float32) for each in (rates, middle, firing))
+    picture, after, firing = (on_device(each.astype(np.float32)) for each in (rates, middle, firing))
     cutoff = settings.comparison.presmoothing_cutoff_sigmas
     return MotionFrames(picture, after, firing, lambda: _counted(spikes, edges), cutoff)
 
@@ -155,7 +155,7 @@ def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edg
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
     stretched = pairwise(whole.tolist())
     counts = np.stack([spike_counts(spikes[begin:end]) for begin, end in stretched])
-    return jnp.asarray(counts, jnp.float32) / jnp.asarray(np.diff(whole), jnp.float32)[:, None, None]
+    return on_device(counts.astype(np.float32) / np.diff(whole).astype(np.float32)[:, None, None])
 
 
 def _measured(spikes: Shaped[np.ndarray, "T h w"], settings: FrameSettings) -> tuple[int, int]:
@@ -198,12 +198,12 @@ class Drift(NamedTuple):
     - `seen`: (h, w), the number of these moments.
     """
 
-    mean: Float[Array, "h w"]
-    slope: Float[Array, "2 h w"]
-    change: Float[Array, "2 h w"]
-    spread: Float[Array, "2 2 h w"]
-    residual: Float[Array, "h w"]
-    seen: Float[Array, "h w"]
+    mean: Float[Array | np.ndarray, "h w"]
+    slope: Float[Array | np.ndarray, "2 h w"]
+    change: Float[Array | np.ndarray, "2 h w"]
+    spread: Float[Array | np.ndarray, "2 2 h w"]
+    residual: Float[Array | np.ndarray, "h w"]
+    seen: Float[Array | np.ndarray, "h w"]
 
 
 @jax.jit
@@ -211,22 +211,20 @@ def drift(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
     taking_part: Float[Array, " n"],
-    motion: tuple[Float[Array, "2 h w"], Float[Array, "2 h w"]] | None,
+    motion: tuple[Float[Array, "2 h w"], Float[Array, "2 h w"]],
 ) -> Drift:
     """`Drift` of the pictures along a motion.
 
     **Arguments:** `after`: frames from the key frame. `taking_part`: 1, or 0 for moments that are left out. `motion`:
-    velocity and acceleration, or None at rest.
+    velocity and acceleration.
     """
     # Sums of squares are taken about the key picture, so that little is lost when the mean is subtracted from them.
     about = pictures[jnp.argmin(jnp.abs(after))]
 
-    def place(k: Array) -> tuple[Corner, Array] | None:
-        return None if motion is None else along(after[k], *motion)
+    def place(k: Array) -> tuple[Corner, Array]:
+        return along(after[k], *motion)
 
-    def look(k: Array, placed: tuple[Corner, Array] | None) -> tuple[Array, Array]:
-        if placed is None:
-            return pictures[k], jnp.ones_like(about)
+    def look(k: Array, placed: tuple[Corner, Array]) -> tuple[Array, Array]:
         corner, inside = placed
         return interpolated(pictures[k], corner), inside
 
@@ -263,13 +261,40 @@ def drift(
     )
 
 
+def resting_drift(pictures: Float[np.ndarray, "n h w"], after: Float[np.ndarray, " n"]) -> Drift:
+    """`drift` of all pictures without motion, where every point is in view at all moments; once for a recording, so
+    that NumPy is faster than compiling a program."""
+    about = pictures[np.argmin(np.abs(after))]
+    values = [np.zeros_like(about) for _ in range(4)]
+    for picture, tau in zip(pictures, after, strict=True):
+        value = picture - about
+        for total, more in zip(values, (value, tau * value, tau**2 / 2 * value, value**2), strict=True):
+            total += more
+    basis = np.stack([after, after**2 / 2])
+    first, count = basis.sum(1), np.float32(after.size)
+    mean = values[0] / count
+    full = mean + about
+    edged = np.pad(full, 1, mode="edge")
+    spread = basis @ basis.T - first[:, None] * first / count
+    return Drift(
+        mean=full,
+        slope=np.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2,
+        change=np.stack(values[1:3]) - first[:, None, None] * mean,
+        spread=np.broadcast_to(spread[..., None, None], (2, 2, *about.shape)),
+        residual=np.maximum(values[3] - values[0] * mean, 0),
+        seen=np.full_like(about, count),
+    )
+
+
 # Largest reach of `smooth`, pixels, and how many taps are added in one pass (of its loop, to save memory traffic).
 _REACH, _TAPS_AT_ONCE = 18, 16
 
 
 @jax.jit
 def smooth(
-    values: Float[Array, "... h w"], sigma: Float[Array, ""], cut: Float[Array, ""] | float = 3.0
+    values: Float[Array | np.ndarray, "... h w"],
+    sigma: Float[Array | np.floating, ""],
+    cut: Float[Array | np.floating, ""] | float = 3.0,
 ) -> Float[Array, "... h w"]:
     """Gaussian smoothing over the last two axes by a standard deviation of `sigma` pixels, cut off at `cut` of these
     and at 18 pixels; beyond the border its values continue.
@@ -300,9 +325,19 @@ def smooth(
     return values
 
 
-def filled(pictures: Float[Array, "n h w"], good: np.ndarray) -> Float[Array, "n h w"]:
+def smoothed(
+    values: Float[Array | np.ndarray, "*n h w"], sigma: float | int | np.floating, cut: float | int = 3.0
+) -> Float[np.ndarray, "*n h w"]:
+    """`smooth` of a stack, picture by picture: one program serves stacks of any number of pictures."""
+    pictures = np.asarray(values)
+    sigma, cut = np.float32(sigma), np.float32(cut)
+    found = [smooth(picture, sigma, cut) for picture in pictures.reshape(-1, *pictures.shape[-2:])]
+    return np.stack([np.asarray(picture) for picture in found]).reshape(pictures.shape)
+
+
+def filled(pictures: Float[Array | np.ndarray, "*n h w"], good: Bool[np.ndarray, "h w"]) -> Float[Array, "*n h w"]:
     """The pictures with pixels that are not `good`, (h, w), replaced by a Gaussian mean of good ones around them."""
-    weight = jnp.asarray(good, pictures.dtype)
-    reach = jnp.asarray(1.0)
-    nearby = smooth(pictures * weight[None], reach) / jnp.maximum(smooth(weight, reach), 1e-6)[None]
-    return jnp.where(jnp.asarray(good)[None], pictures, nearby)
+    pictures = np.asarray(pictures)
+    weight = good.astype(pictures.dtype)
+    nearby = smoothed(pictures * weight, 1.0) / np.maximum(smoothed(weight, 1.0), np.float32(1e-6))
+    return on_device(np.where(good, pictures, nearby))

@@ -7,7 +7,6 @@ from one.
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -17,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.estimators.frames import MotionFrames
-from scsr_opt.motion.inversion import Corner, bilinear, corner_of, in_turn
+from scsr_opt.motion.inversion import Corner, corner_of, in_turn
 from scsr_opt.motion.settings import DEFAULTS, MotionSettings, ParametricSettings
 from scsr_opt.motion.trajectory import Motion
 
@@ -96,9 +95,9 @@ def parametric(
         ) -> tuple[Float[np.ndarray, "2 8"], _Equations]:
             found = numbers
             for some, steps in fits:
-                limits = _Limits(np.int32(steps), np.float32(level.tolerance), np.float32(share))
-                found, equations = _fit(blurred, pictures.after, level.interval, some, found, active, limits, options)
-            return np.asarray(found), equations
+                limits = _Limits(steps, level.tolerance, share)
+                found, equations = _fit(blurred, after, level.interval, some, found, active, limits, options)
+            return found, equations
 
         numbers, equations = fit(numbers, active)
         richer = [(0, _LINEAR)] if affine else []
@@ -236,9 +235,9 @@ def shows_global_motion(pictures: MotionFrames, settings: MotionSettings = DEFAU
     if after.size < 2:  # one picture shows no motion
         return False
     _, equations = _fit(
-        pictures.presmoothed(options.presmoothing_px[-1]), pictures.after, np.array((0, after.size), np.int32),
+        pictures.presmoothed(options.presmoothing_px[-1]), after, np.array((0, after.size), np.int32),
         _points(height, width, None, pictures.firing, settings=options), np.zeros(none.shape, np.float32), none,
-        _Limits(np.int32(0), np.float32(0), np.float32(options.agreeing_share)), options,
+        _Limits(0, 0.0, options.agreeing_share), options,
     )  # fmt: skip
     return _supported(equations, none, (0, slice(_SHIFTS.start, _LINEAR.stop)), options)
 
@@ -247,8 +246,8 @@ class _Equations(NamedTuple):
     """Normal equations at the end of a fit, over all numbers, velocity's generators, then acceleration's: the `matrix`,
     and the right-hand side (negative gradient) of each block of the picture."""
 
-    matrix: Float[Array, "16 16"]
-    gradients: Float[Array, "blocks 16"]
+    matrix: Float[np.ndarray, "16 16"]
+    gradients: Float[np.ndarray, "blocks 16"]
 
 
 def _supported(
@@ -267,7 +266,7 @@ def _supported(
     further = np.zeros_like(active)
     further[group] = True
     known, tested = np.flatnonzero(active.ravel()), np.flatnonzero(further.ravel())
-    matrix, gradients = np.asarray(equations.matrix, float), np.asarray(equations.gradients, float)
+    matrix, gradients = equations
     gradients = gradients[np.abs(gradients).sum(1) > 0]
     scale = 1 / np.sqrt(np.diag(matrix) + 1e-30)
     matrix, gradients = matrix * scale[:, None] * scale, gradients * scale
@@ -285,104 +284,130 @@ class _Limits(NamedTuple):
     """Limits of a fit: the `steps` at most; the displacement at the farthest moment, sensor pixels, below which it has
     converged; and the share of the points whose residual sets the scale of outliers."""
 
-    steps: Int[Array | np.int32, ""]
-    tolerance: Float[Array | np.float32, ""]
-    agreeing_share: Float[Array | np.float32, ""]
+    steps: int
+    tolerance: float
+    agreeing_share: float
 
 
-class _FitState(NamedTuple):
-    """A fit after some steps: the `numbers`; the `matrix` and `gradient` of the equations there before the last step;
-    the last Gauss–Newton `update` and the factor, `times`, by which it was extrapolated; the number of steps `done`;
-    the largest displacement, sensor pixels, that the last one made; `finished`, where the equations are those at the
-    numbers."""
-
-    numbers: Float[Array, "2 8"]
-    matrix: Float[Array, "16 16"]
-    gradient: Float[Array, "16 points"]
-    update: Float[Array, "2 8"]
-    times: Float[Array, ""]
-    done: Int[Array, ""]
-    moved: Float[Array, ""]
-    finished: Bool[Array, ""]
-
-
-@partial(jax.jit, static_argnames="settings")
 def _fit(
     pictures: Float[Array, "n h w"],
-    after: Float[Array, " n"],
-    interval: Int[Array, " 2"],
+    after: Float[np.ndarray, " n"],
+    interval: Int[np.ndarray, " 2"],
     points: _Points,
-    numbers: Float[Array, "2 8"],
-    active: Bool[Array, "2 8"],
+    numbers: Float[np.ndarray, "2 8"],
+    active: Bool[np.ndarray, "2 8"],
     limits: _Limits,
     settings: ParametricSettings,
-) -> tuple[Float[Array, "2 8"], _Equations]:
-    """Gauss–Newton over the `active` numbers, with the pictures from `interval[0]` up to `interval[1]`.
-
-    The pictures and numbers that take part are data, so that one compiled program serves all of them.
-    """
-    longest = jnp.maximum(jnp.max(jnp.abs(after[jnp.stack([interval[0], interval[1] - 1])])), 1)
+) -> tuple[Float[np.ndarray, "2 8"], _Equations]:
+    """Gauss–Newton over the `active` numbers, with the pictures from `interval[0]` up to `interval[1]`: the numbers,
+    and the equations there."""
+    longest = max(np.abs(after[[interval[0], interval[1] - 1]]).max(), 1)
     on = active.reshape(-1)
-    key_picture = pictures[jnp.argmin(jnp.abs(after))]
-    about = bilinear(key_picture[None], *jnp.asarray(points.position))[0]
-
-    def equations(numbers: Float[Array, "2 8"]) -> tuple[Array, Array]:
-        return _normal_equations(pictures, after, interval, points, numbers, about, limits.agreeing_share, settings)
-
+    # The key picture there, about which sums of squares are taken so that little is lost to rounding. Points lie
+    # halfway between pixels.
+    row, column = points.position.astype(int)
+    key_picture = np.asarray(pictures)[np.abs(after).argmin()]
+    about = (key_picture[row, column] + key_picture[row + 1, column]) / 2
+    about = (about + (key_picture[row, column + 1] + key_picture[row + 1, column + 1]) / 2) / 2
     # Largest displacement at the farthest moment by a unit of each number: no generator is larger than 1.
-    lever = jnp.stack([longest, 0.5 * longest**2])[:, None]
-
-    def step(carry: _FitState) -> _FitState:
-        numbers = carry.numbers
-        matrix, gradient = equations(numbers)
-        finished = (carry.done >= limits.steps) | (carry.moved <= limits.tolerance)
+    lever = np.array([[longest], [0.5 * longest**2]])
+    last, times, moved = np.zeros(numbers.shape), 1.0, np.inf
+    for done in range(limits.steps + 1):
+        sums = _Sums(
+            *map(np.asarray, _sums_along(pictures, after, interval, points.position, *_fields(numbers, points), about))
+        )
+        matrix, gradient = _normal_equations(sums, numbers, points, after, interval, limits.agreeing_share, settings)
+        # The equations at the numbers found are those of a last turn without a step.
+        if done >= limits.steps or moved <= limits.tolerance:
+            break
         # Unit diagonal: velocities and accelerations differ by orders of magnitude. Slight damping keeps the step
         # finite where the picture has no texture.
-        scale = jnp.where(on, 1 / jnp.sqrt(jnp.diag(matrix) + 1e-12), 0)
-        damping = jnp.where(on, 1e-6, 1).astype(matrix.dtype)
-        scaled = matrix * scale[:, None] * scale[None, :] + jnp.diag(damping)
-        update = (jnp.linalg.solve(scaled, gradient.sum(1) * scale) * scale).reshape(2, -1)
+        scale = np.where(on, 1 / np.sqrt(np.diag(matrix) + 1e-12), 0)
+        scaled = matrix * scale[:, None] * scale + np.diag(np.where(on, 1e-6, 1))
+        update = (np.linalg.solve(scaled, gradient.sum(1) * scale) * scale).reshape(numbers.shape)
         # Where each update is a constant share of the one before, as with weights that follow slowly, the sum of all
         # further ones is taken at once (Aitken, 1926, for vectors).
-        last, now = carry.update * lever, update * lever
-        share = jnp.sum(now * last) / jnp.maximum(jnp.sum(last**2), 1e-20)
-        more = jnp.where(share < 1, carry.times / jnp.maximum(1 - share, 1e-6), settings.growing_step_ratio)
-        times = jnp.where(carry.done > 0, jnp.clip(more, 1, settings.longest_step_ratio), 1)
-        moved = times * jnp.abs(now).max(1).sum()
-        following = jnp.where(finished, numbers, numbers + times * update)
-        return _FitState(following, matrix, gradient, update, times, carry.done + 1, moved, finished)
+        now = update * lever
+        share = np.sum(now * last) / max(np.sum(last**2), 1e-20)
+        more = times / max(1 - share, 1e-6) if share < 1 else settings.growing_step_ratio
+        times = float(np.clip(more, 1, settings.longest_step_ratio)) if done > 0 else 1.0
+        moved = times * np.abs(now).max(1).sum()
+        numbers, last = (numbers + times * update).astype(np.float32), now
+    gradients = np.zeros((settings.blocks_per_side**2, on.size))
+    np.add.at(gradients, points.block, gradient.T)
+    return numbers, _Equations(matrix, gradients)
 
-    # The equations at the numbers found are those of a last turn without a step: compiled apart, they took as long to
-    # compile as all the rest.
-    one, infinite = (jnp.asarray(number, pictures.dtype) for number in (1, jnp.inf))
-    matrix, gradient = (jnp.zeros((on.size, n), pictures.dtype) for n in (on.size, points.region.size))
-    done, finished = jnp.zeros_like(limits.steps), jnp.asarray(False)
-    begin = _FitState(numbers, matrix, gradient, jnp.zeros_like(numbers), one, done, infinite, finished)
-    found = jax.lax.while_loop(lambda state: ~state.finished, step, begin)
-    gradients = jax.ops.segment_sum(found.gradient.T, points.block, num_segments=settings.blocks_per_side**2)
-    return found.numbers, _Equations(found.matrix, gradients)
+
+def _fields(numbers: Float[np.ndarray, "2 8"], points: _Points) -> Float[np.ndarray, "2 2 m"]:
+    """Velocity and acceleration at the points."""
+    return np.einsum("op,pcn->ocn", numbers, points.fields)
 
 
 def _normal_equations(
+    sums: "_Sums",
+    numbers: Float[np.ndarray, "2 8"],
+    points: _Points,
+    after: Float[np.ndarray, " n"],
+    interval: Int[np.ndarray, " 2"],
+    agreeing_share: float,
+    settings: ParametricSettings,
+) -> tuple[Float[np.ndarray, "16 16"], Float[np.ndarray, "16 m"]]:
+    """Matrix of the Gauss–Newton step, and the negative gradient of each point."""
+    span = after[interval[1] - 1] - after[interval[0]]
+    times, values = sums.times, sums.values
+    # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
+    seen = np.maximum(times[0], np.float32(1e-6))
+    first = np.stack([times[1], times[2] / 2])
+    change = values[1:3] - first * (values[0] / seen)
+    spread = np.array([[times[2], times[3] / 2], [times[3] / 2, times[4] / 4]]) - first[:, None] * first / seen
+    mismatch = np.maximum(sums.squares - values[0] ** 2 / seen, 0) / seen
+    # Cauchy weights: regions that move otherwise lose their weight as soon as the rest agrees.
+    agreeing = mismatch[points.region > 0]
+    wanted = max(int(np.ceil(agreeing_share * agreeing.size)) - 1, 0)
+    usual = np.partition(agreeing, wanted)[wanted] if agreeing.size else np.float32(0)
+    weight = points.region / (1 + (mismatch / (np.float32(settings.outlier_scale) * usual + np.float32(1e-12))) ** 2)
+    # Motion between two spikes is not resolved: the scene looks as if it stood still.
+    velocity = _fields(numbers, points)[0]
+    weight /= 1 + (np.hypot(*velocity) * points.interval) ** 4
+    # Points that fire seldom change seldom, as if they stood still, however slowly they move.
+    weight /= 1 + (np.float32(settings.spanned_intervals) * points.interval / max(span, 1)) ** 4
+    down, right = sums.slopes / seen
+    regressors = down * points.fields[:, 0] + right * points.fields[:, 1]
+    weighted = spread * weight
+    matrix = np.block([[(regressors * weighted[q, r]) @ regressors.T for r in (0, 1)] for q in (0, 1)])
+    return matrix.astype(float), -np.concatenate([regressors * (change[q] * weight) for q in (0, 1)])
+
+
+class _Sums(NamedTuple):
+    """Sums over the moments at each point: of τ⁰ to τ⁴, of the value times 1, τ and τ²/2, of its square, of its
+    slopes."""
+
+    times: Float[Array | np.ndarray, "5 m"]
+    values: Float[Array | np.ndarray, "3 m"]
+    squares: Float[Array | np.ndarray, " m"]
+    slopes: Float[Array | np.ndarray, "2 m"]
+
+
+@jax.jit
+def _sums_along(
     pictures: Float[Array, "n h w"],
     after: Float[Array, " n"],
     interval: Int[Array, " 2"],
-    points: _Points,
-    numbers: Float[Array, "2 8"],
+    position: Float[Array, "2 m"],
+    velocity: Float[Array, "2 m"],
+    acceleration: Float[Array, "2 m"],
     about: Float[Array, " m"],
-    agreeing_share: Float[Array | np.float32, ""],
-    settings: ParametricSettings,
-) -> tuple[Float[Array, "16 16"], Float[Array, "16 m"]]:
-    """Matrix of the Gauss–Newton step, and the negative gradient of each point; `about`: the key picture there, about
-    which sums of squares are taken so that little is lost to rounding."""
+) -> _Sums:
+    """Sums over the pictures from `interval[0]` up to `interval[1]` along a motion; values less `about`.
+
+    The pictures that take part are data, so that one compiled program serves all levels.
+    """
     _, height, width = pictures.shape
-    span = after[interval[1] - 1] - after[interval[0]]
-    velocity, acceleration = jnp.einsum("op,pcn->ocn", numbers, points.fields)
 
     # Moment by moment, so that the sums stay in the cache.
     def place(b: Array) -> tuple[Corner, Array]:
         tau = after[b]
-        row, column = (points.position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
+        row, column = (position[k] + tau * velocity[k] + 0.5 * tau**2 * acceleration[k] for k in (0, 1))
         inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
         return corner_of(row, column, height, width), inside.astype(row.dtype)
 
@@ -390,71 +415,15 @@ def _normal_equations(
         corner, inside = placed
         return *_value_and_slope(pictures, b, corner), inside
 
-    def add(b: Array, found: tuple[Array, tuple[Array, Array], Array], sums: _Sums) -> _Sums:
+    def add(b: Array, found: tuple[Array, tuple[Array, Array], Array], sums: list[Array]) -> list[Array]:
         tau, (value, slope, inside) = after[b], found
         value = (value - about) * inside
-        return _Sums(
-            tuple(sum_ + tau**k * inside for k, sum_ in enumerate(sums.times)),
-            tuple(sum_ + factor * value for factor, sum_ in zip((1, tau, tau**2 / 2), sums.values, strict=True)),
-            sums.squares + value**2,
-            tuple(sum_ + one * inside for one, sum_ in zip(slope, sums.slopes, strict=True)),
-        )
+        more = [tau**k * inside for k in range(5)] + [factor * value for factor in (1, tau, tau**2 / 2, value)]
+        more += [one * inside for one in slope]
+        return [total + each for total, each in zip(sums, more, strict=True)]
 
-    sums = in_turn(place, look, add, _Sums.none(about), interval[0], interval[1])
-    times, values, slopes = (jnp.stack(of) for of in (sums.times, sums.values, sums.slopes))
-    # As in `drift`: the regressors τ and τ²/2 without their mean, and the residual about the mean.
-    seen = jnp.maximum(times[0], 1e-6)
-    first = jnp.stack([times[1], times[2] / 2])
-    change = values[1:3] - first * (values[0] / seen)[None]
-    square = jnp.stack([jnp.stack([times[2], times[3] / 2]), jnp.stack([times[3] / 2, times[4] / 4])])
-    spread = square - first[:, None] * first[None] / seen[None, None]
-    mismatch = jnp.maximum(sums.squares - values[0] ** 2 / seen, 0) / seen
-    # Cauchy weights: regions that move otherwise lose their weight as soon as the rest agrees.
-    usual = _quantile(mismatch, jnp.asarray(points.region), agreeing_share)
-    weight = points.region / (1 + (mismatch / (settings.outlier_scale * usual + 1e-12)) ** 2)
-    # Motion between two spikes is not resolved: the scene looks as if it stood still.
-    weight = weight / (1 + (jnp.hypot(*velocity) * points.interval) ** 4)
-    # Points that fire seldom change seldom, as if they stood still, however slowly they move.
-    weight = weight / (1 + (settings.spanned_intervals * points.interval / jnp.maximum(span, 1)) ** 4)
-    down, right = slopes / seen[None]
-    regressors = down[None] * points.fields[:, 0] + right[None] * points.fields[:, 1]
-    weights = spread * weight[None, None]
-    matrix = [[(regressors * weights[q, r][None]) @ regressors.T for r in (0, 1)] for q in (0, 1)]
-    gradient = -jnp.concatenate([regressors * (change[q] * weight)[None] for q in (0, 1)])
-    return jnp.block(matrix), gradient
-
-
-def _quantile(
-    values: Float[Array, " n"], among: Float[Array, " n"], share: Float[Array | np.float32, ""]
-) -> Float[Array, ""]:
-    """Quantile of the values where `among` is 1; none is below 0. By bisection to 10⁻⁹ of the largest value: sorting
-    took most of the time of a step."""
-    wanted = share * among.sum()
-
-    def halve(_: Array, between: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = between
-        middle = (low + high) / 2
-        enough = jnp.where(values <= middle, among, 0).sum() >= wanted
-        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
-
-    largest = jnp.max(values * among)
-    return jax.lax.fori_loop(0, 30, halve, (jnp.zeros_like(largest), largest))[1]
-
-
-class _Sums(NamedTuple):
-    """Sums over the moments at each point: of τ⁰ to τ⁴, of the value times 1, τ and τ²/2, of its square, of its
-    slopes."""
-
-    times: tuple[Float[Array, " n"], ...]
-    values: tuple[Float[Array, " n"], ...]
-    squares: Float[Array, " n"]
-    slopes: tuple[Float[Array, " n"], ...]
-
-    @classmethod
-    def none(cls, like: Float[Array, " n"]) -> "_Sums":
-        """Sums of zero."""
-        nothing = jnp.zeros_like(like)
-        return cls((nothing,) * 5, (nothing,) * 3, nothing, (nothing,) * 2)
+    sums = in_turn(place, look, add, [jnp.zeros_like(about)] * 11, interval[0], interval[1])
+    return _Sums(jnp.stack(sums[:5]), jnp.stack(sums[5:8]), sums[8], jnp.stack(sums[9:]))
 
 
 def _value_and_slope(

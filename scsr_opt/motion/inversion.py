@@ -198,12 +198,10 @@ def interpolated(picture: Float[Array, "h w"], at: Corner) -> Float[Array, "..."
 
 @jax.jit
 def read_picture(
-    picture: Float[Array | np.ndarray, "h w"],
-    row: Float[Array | np.ndarray, "rows columns"],
-    column: Float[Array | np.ndarray, "rows columns"],
+    picture: Float[Array, "h w"], row: Float[Array, "rows columns"], column: Float[Array, "rows columns"]
 ) -> Float[Array, "rows columns"]:
-    """`picture` interpolated bilinearly at (row, column), clamped to its border: a program for use outside `jit`, which
-    does not depend on how many pictures there are."""
+    """`picture` interpolated bilinearly at (row, column), clamped to its border: for use outside `jit`, where one
+    program serves any number of pictures."""
     return interpolated(picture, corner_of(row, column, *picture.shape))
 
 

@@ -6,14 +6,12 @@ samples of a moment are weighted by inverse variance: noise of variance N and a 
 sample as good as one of variance N + E.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.motion.estimators.evidence import contradicts_rest
-from scsr_opt.motion.estimators.frames import MotionFrames, smoothed
-from scsr_opt.motion.inversion import read_picture
+from scsr_opt.motion.estimators.frames import MotionFrames, picture_along, smoothed
 from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion, Trust
 
@@ -46,8 +44,11 @@ def _worth(
     Picture by picture, so that each is still in the cache when it is used.
     """
     limits, by = settings.reliability, settings.comparison
-    velocity, acceleration = motion.velocity, motion.acceleration
-    values, inside = [np.stack(of) for of in zip(*_along(pictures, moments, velocity, acceleration), strict=True)]
+    velocity, acceleration = on_device(motion.velocity), on_device(motion.acceleration)
+    shown = [
+        picture_along(picture, tau, velocity, acceleration) for picture, tau in zip(pictures, moments, strict=True)
+    ]
+    values, inside = (np.stack(of) for of in zip(*shown, strict=True))
     near = np.exp(-0.5 * (moments / limits.key_picture_frames) ** 2)
     # The nearest moment always takes part, however far it is.
     alone = np.float32(1e-6) * (np.abs(moments) == np.abs(moments).min())
@@ -74,24 +75,6 @@ def _worth(
     squares /= np.maximum(smoothed(inside, by.neighbourhood_px), np.float32(0.1))
     error = np.maximum(squares - np.float32(limits.chance_ratio) * noise, 0)
     share = 1 / (1 + np.float32(limits.error_weight) * error / noise_of_one)
-    still = ~(velocity.any(0) | acceleration.any(0))
+    still = ~(motion.velocity.any(0) | motion.acceleration.any(0))
     steady = still & (share.min(0) >= limits.steady_worth)
     return np.where(steady, share.mean(0), share)
-
-
-def _along(
-    pictures: Float[np.ndarray, "n h w"],
-    moments: Float[np.ndarray, " n"],
-    velocity: Float[np.ndarray, "2 h w"],
-    acceleration: Float[np.ndarray, "2 h w"],
-) -> Iterator[tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]]:
-    """Each picture along the motion, and 1 where the position is in view, else 0."""
-    height, width = pictures.shape[1:]
-    rows, columns = np.arange(height, dtype=np.float32)[:, None], np.arange(width, dtype=np.float32)
-    for picture, tau in zip(pictures, moments, strict=True):
-        row, column = (
-            here + tau * of + np.float32(0.5) * tau**2 * more
-            for here, of, more in zip((rows, columns), velocity, acceleration, strict=True)
-        )
-        inside = (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
-        yield np.asarray(read_picture(picture, row, column)), inside.astype(np.float32)

@@ -107,3 +107,9 @@ class DataTerm(eqx.Module):
         u = (self.aperture(image) + strength * self.target / area) / (1 + strength * diagonal / area)
         value = jnp.sum(u * (0.5 * diagonal * u - self.target)) + 0.5 * self.energy
         return image + self.aperture.adjoint(strength * (self.target - diagonal * u)), value
+
+
+@eqx.filter_jit
+def blurred(term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
+    """`DataTerm.blurred` as one program, for use outside `jit`."""
+    return term.blurred(image)

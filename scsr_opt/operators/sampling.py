@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.camera.samples import Samples
 from scsr_opt.errors import InputError
 from scsr_opt.motion.inversion import in_turn
@@ -106,11 +107,12 @@ class PlacedSamples(eqx.Module):
         """K, the largest number of positions along an exposure that there may be."""
         return self.taps.index.shape[0]
 
-    @eqx.filter_jit
-    def only(self, numbers: Int[Array, " m"]) -> "PlacedSamples":
+    def only(self, numbers: Int[np.ndarray, " m"]) -> "PlacedSamples":
         """The samples of these numbers."""
-        taps = jax.tree.map(lambda field: field[:, numbers], self.taps)
-        positions, value, weight = (field[numbers] for field in (self.positions, self.value, self.weight))
+        # By NumPy: once for a picture, and of another length for each.
+        taps = jax.tree.map(lambda field: on_device(np.asarray(field)[:, numbers]), self.taps)
+        samples = (self.positions, self.value, self.weight)
+        positions, value, weight = (on_device(np.asarray(field)[numbers]) for field in samples)
         return PlacedSamples(taps, positions, value, weight, self.scale, self.shape, self.on_sensor)
 
     @eqx.filter_jit

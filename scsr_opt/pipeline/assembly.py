@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.calibration.gain import gain_is_known, spread_of
 from scsr_opt.calibration.optics import estimate_gaussian_optics
 from scsr_opt.errors import InputError
@@ -64,7 +65,7 @@ class Assembly:
     @property
     def usable(self) -> bool:
         """True where there is any sample to reconstruct from."""
-        return bool(self.task.clip.spikes.any()) and bool(jnp.any(self.measurements.placed.weight > 0))
+        return bool(self.task.clip.spikes.any()) and bool((np.asarray(self.measurements.placed.weight) > 0).any())
 
     @property
     def strength(self) -> float:
@@ -89,7 +90,7 @@ class Assembly:
             method.prior, method.solver, gain=self.gain, optics=method.optics, noise=self.noise
         )
         found = search.find(task.clip, self.motion, self.measurements, self.image)
-        method = replace(method, strength=jnp.asarray(found.strength, jnp.float32))
+        method = replace(method, strength=on_device(np.float32(found.strength)))
         return replace(self, method=method, near=found.image, term=found.term)
 
     def with_sums(self) -> "Assembly":
@@ -136,7 +137,7 @@ def assemble_task(task: Task) -> Assembly:
         # The default solver of the problem is chosen below, when its strength is known.
         solver=options.solver or (FISTA() if prior.has_prox else LBFGS()),
         prior=prior,
-        strength=jnp.asarray(float(λ), jnp.float32),
+        strength=on_device(np.float32(float(λ))),
         optics=options.lens,
         robust=options.robust,
         keep_images=options.keep_images,
@@ -176,7 +177,7 @@ def assemble_task(task: Task) -> Assembly:
         assembly = _with_estimated_optics(assembly)
     if strength_task is not None:
         found = strength_task.result()
-        method = replace(assembly.method, strength=jnp.asarray(found.strength, jnp.float32))
+        method = replace(assembly.method, strength=on_device(np.float32(found.strength)))
         assembly = replace(assembly, method=method, near=found.image, term=found.term)
     elif options.selects_strength:
         assembly = assembly.with_validated_strength()

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt._kernels.device import on_device
 from scsr_opt.calibration.gain import blind_gain, gain_is_known, share_of_unknown_gain, with_gain
 from scsr_opt.calibration.settings import GainSettings
-from scsr_opt.camera.samples import RUN_FRAMES, Samples, padded_length
+from scsr_opt.camera.samples import RUN_FRAMES, Samples
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.motion.trajectory import SPACING, Changes, Motion, Trajectory, trajectory_of
 from scsr_opt.operators.losses import Loss, robust_factors
@@ -82,12 +82,12 @@ class Measurements(NamedTuple):
         - `at_rest`: (h, w), gains where the scene does not move far enough to tell; 1 if None.
         """
         samples, placed = self.samples, self.placed
+        used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
+        # Of all samples, as one program serves any pixels.
+        predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
         if pixels is not None:
             chosen = np.flatnonzero(pixels[samples.row, samples.column])
-            samples = jax.tree.map(lambda values: values[chosen], samples)
-            placed = placed.only(on_device(np.pad(chosen, (0, padded_length(samples.row.size) - chosen.size))))
-        used = placed.weight if robust is None else placed.weight * robust_factors(robust, placed, blurred)
-        predicted, weight = (np.asarray(v)[: samples.row.size] for v in (placed.read(blurred), used))
+            samples, predicted, weight = jax.tree.map(lambda values: values[chosen], (samples, predicted, weight))
         moved = motion.moved(len(clip.spikes))
         gains = blind_gain(
             samples, predicted, moved=moved, white_rate=clip.white_rate, weight=weight, settings=settings
@@ -177,10 +177,10 @@ def _runs(path: Trajectory, motion_px: float, weight_change: float) -> Int[np.nd
     found = np.empty((len(usable) - 1, *usable.shape[1:]), np.int8)
     motion, change = np.float32(motion_px * SPACING), np.float32(weight_change * SPACING)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for k, runs in enumerate(found):
+        for k in range(len(found)):
             down, right = position[k + 1] - position[k]
             run = np.minimum(motion / np.sqrt(down**2 + right**2), change / np.abs(usable[k + 1] - usable[k]))
-            runs[:] = np.clip(np.nan_to_num(run, nan=1), 1, RUN_FRAMES)
+            found[k] = np.clip(np.nan_to_num(run, nan=1), 1, RUN_FRAMES)
     return found
 
 

@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt._kernels.device import on_device
 from scsr_opt.errors import InputError
-from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.data_term import DataTerm, blurred
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.losses import Loss, robust_factors
 from scsr_opt.operators.operator import LinearOperator
@@ -33,7 +32,6 @@ from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Stage
 from scsr_opt.solvers.settings import TileSettings
 from scsr_opt.solvers.solver import Solver
-from scsr_opt.solvers.stopping import relative
 from scsr_opt.solvers.tiles import by_tile, is_tileable, run_tiles
 
 
@@ -89,7 +87,7 @@ class MajorizeMinimize:
             outcome = self._solved(term, placed, image, state, near)
         else:
             outcome = self._reweighted(term, placed, image, state, near, self.robust)
-        return Majorized(outcome, _blurred(term, on_device(outcome.image)))
+        return Majorized(outcome, blurred(term, on_device(outcome.image)))
 
     def term(
         self, placed: PlacedSamples, robust: Float[Array, " n"] | None = None, *, sums: DataTerm | None = None
@@ -143,7 +141,7 @@ class MajorizeMinimize:
         for remaining in reversed(range(self.settings.reweighting_rounds + (near is None))):
             last = settled or remaining == 0
             if near is not None:
-                factors = robust_factors(loss, placed, _blurred(term, near))
+                factors = robust_factors(loss, placed, blurred(term, near))
                 term = self.term(placed, factors)
             tolerances = 1.0 if last else self.settings.reweighting_tolerances
             outcome = self._solved(term, placed, image, state, near, robust=factors, tolerances=tolerances)
@@ -152,7 +150,7 @@ class MajorizeMinimize:
                 break
             before, state, near = near, outcome.state, on_device(outcome.image)
             limit = self.settings.reweighting_settled_tolerances * self.solver.tolerance
-            settled = before is not None and float(_distance(near, before)) <= limit
+            settled = before is not None and _distance(near, before) <= limit
         return outcome._replace(stages=tuple(stages))
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
@@ -192,16 +190,18 @@ class ExposureCorrection:
 
     def __call__(self, image: Float[Array, "H W"], tolerance: float) -> Problem | None:
         far, limit = None, self._settings.correction_tolerances * tolerance
-        if self._touched is not None and float(_distance(image, self._touched)) <= limit:
+        if self._touched is not None and _distance(image, self._touched) <= limit:
             if not self._tile:
                 return None
-            distance = np.asarray(_distance_in_tiles(image, self._touched, self._tile))
+            distance = by_tile(np.asarray(image) - np.asarray(self._touched), np.asarray(image), self._tile)
             if distance.max() <= self._settings.tile_correction_tolerances * tolerance:
                 return None
             # Tiles half as far off would be next.
             far = distance > self._settings.tile_correction_tolerances / 2 * tolerance
-        extrapolation = self._settings.correction_extrapolation
-        ahead = image if self._last is None else image + extrapolation * (image - self._last)
+        ahead = image
+        if self._last is not None:
+            now, by = np.asarray(image), np.float32(self._settings.correction_extrapolation)
+            ahead = on_device(now + by * (now - np.asarray(self._last)))
         self._last = image
         # Pieces of samples are chosen by rows: where most rows have a tile that is far off, hardly any is left out.
         if far is None or not self._finished_tiles or far.any(1).mean() > self._settings.few_rows_share:
@@ -237,35 +237,21 @@ class ExposureCorrection:
         return np.asarray(self._placed.rows())
 
 
-@jax.jit
-def _distance(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> Float[Array, ""]:
+def _distance(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> float:
     """‖image − other‖ / ‖image‖."""
-    return relative(jnp.linalg.norm(image - other), image)
+    one, change = np.asarray(image), np.asarray(image) - np.asarray(other)
+    return float(np.linalg.norm(change) / max(np.linalg.norm(one), np.finfo(one.dtype).tiny ** 0.5))
 
 
-@eqx.filter_jit
-def _distance_in_tiles(
-    image: Float[Array, "H W"], other: Float[Array, "H W"], side: int
-) -> Float[Array, "rows columns"]:
-    """Distance of two pictures in each tile, as `by_tile`."""
-    return by_tile(image - other, image, side)
-
-
-@eqx.filter_jit
 def _only_in(
-    tiles: Bool[Array | np.ndarray, "rows columns"], image: Float[Array, "H W"], other: Float[Array, "H W"], side: int
+    tiles: Bool[np.ndarray, "rows columns"], image: Float[Array, "H W"], other: Float[Array, "H W"], side: int
 ) -> Float[Array, "H W"]:
     """`image` in these tiles, and `other` elsewhere."""
     height, width = image.shape
-    there = jnp.repeat(jnp.repeat(jnp.asarray(tiles), side, axis=0), side, axis=1)[:height, :width]
-    return jnp.where(there, image, other)
+    there = tiles.repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
+    return on_device(np.where(there, np.asarray(image), np.asarray(other)))
 
 
 def _layout(state: Any) -> tuple[Any, list[Any]]:
     leaves, structure = jax.tree.flatten(eqx.filter(state, lambda leaf: hasattr(leaf, "shape")))
     return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
-
-
-@eqx.filter_jit
-def _blurred(term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "rows columns"]:
-    return term.blurred(image)

@@ -12,7 +12,6 @@ import time
 from dataclasses import replace
 from typing import Any, SupportsIndex
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -119,7 +118,7 @@ def solve(assembly: Assembly, state: Any = None, progress: Progress | None = Non
         assembly.diagnostics,
         iterations=len(stages),
         solver=type(assembly.method.solver).__name__,
-        samples=int(jnp.count_nonzero(placed.weight)),
+        samples=np.count_nonzero(placed.weight),
         positions=placed.finest,
         strength=assembly.strength,
         objective=stages[-1].objective,

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt._threads import in_threads
 from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
@@ -26,7 +27,7 @@ from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.sparse import sparse_pixels
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion, Trajectory
-from scsr_opt.operators.data_term import DataTerm
+from scsr_opt.operators.data_term import DataTerm, blurred
 from scsr_opt.operators.exposure import with_exposure
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
@@ -127,7 +128,7 @@ class _Fold:
         self.image, self._split, self._solver, self._prior = split.image, split, solver, prior
         summed = [split.kept, split.held] if split.reused else [split.kept]
         self._sums = in_threads(partial(accumulate, optics=optics), summed)
-        plain = Problem(self._sums[0], prior, jnp.asarray(strength, jnp.float32))
+        plain = Problem(self._sums[0], prior, on_device(np.float32(strength)))
         self._plain = self._term = solver.prepared(plain).data
         self._states: dict[float, Any] = {}
         for _ in range(2 if split.kept.finest > 1 else 0):
@@ -136,7 +137,7 @@ class _Fold:
 
     def _solve(self, strength: float) -> None:
         """Makes the picture of this strength; it starts at the duals of the nearest one so far."""
-        problem = Problem(self._term, self._prior, jnp.asarray(strength, jnp.float32))
+        problem = Problem(self._term, self._prior, on_device(np.float32(strength)))
         nearest = min(self._states, key=lambda other: abs(math.log(other / strength)), default=None)
         similar = None if nearest is None else self._states[nearest]
         state = run(self._solver, problem, self._split.image, similar=similar).state
@@ -150,7 +151,10 @@ class _Fold:
     def error(self, strength: float) -> Float[np.ndarray, "2"]:
         """Weighted sum of squares by which the picture of this strength misses the held-out samples, and of weights."""
         self._solve(strength)
-        return np.asarray(_weighted_error(self._split.held, self._plain, self.image))
+        held = self._split.held
+        missed = np.asarray(held.read(blurred(self._plain, self.image))) - np.asarray(held.value)
+        weight = np.asarray(held.weight, float)  # sums of hundreds of thousands
+        return np.array([weight @ missed**2, weight.sum()])
 
     def term(self) -> DataTerm | None:
         """M, c and e of all its samples; None where those of the held-out ones were not summed."""
@@ -244,7 +248,7 @@ class StrengthSearch:
         if whole:
             term = folds[0].term()
             near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
-            near = near if bool(jnp.isfinite(near).all()) else None
+            near = near if np.isfinite(near).all() else None
         if ridge:
             times = max(at_least, raised_by * settings.ridge_factor * best**settings.ridge_exponent)
         return ValidatedStrength(least * times, near, term)
@@ -267,7 +271,8 @@ class StrengthSearch:
         def made(area: tuple[slice, slice]) -> _Split | None:
             # Sums of few pixels are too few to tell.
             merge = self.merged_intervals and int(good[area].sum()) >= settings.least_samples
-            pieces, part, first, merged = unmerged, clip.part(*area), image[_scaled(area, self.scale)], False
+            pieces, part, merged = unmerged, clip.part(*area), False
+            first = on_device(np.asarray(image)[_scaled(area, self.scale)])
             gain = None if self.gain is None else self.gain[area]
             if pieces is None or good[area].shape != good.shape:
                 # No more is merged than what is held out as a whole, if that holds intervals enough.
@@ -335,7 +340,7 @@ def _chosen_areas(
     them are left out.
     """
     height, width = good.shape
-    contrast = good * np.asarray(_contrast(jnp.asarray(image), scale))
+    contrast = good * _contrast(np.asarray(image), scale)
     begins = [np.linspace(0, max(n - side, 0), 2 * -(-n // side) - 1).round() for n in good.shape]
     places = np.stack(np.meshgrid(*begins, indexing="ij"), -1).reshape(-1, 2).astype(int)
     places = places[np.argsort(np.hypot(*(places - places.mean(0)).T), kind="stable")]
@@ -349,12 +354,13 @@ def _chosen_areas(
     return [parts[group[np.abs(rich[group] - rich[group].mean()).argmin()]] for group in groups]
 
 
-@partial(jax.jit, static_argnames="scale")
-def _contrast(image: Float[Array, "H W"], scale: int) -> Float[Array, "h w"]:
+def _contrast(image: Float[np.ndarray, "H W"], scale: int) -> Float[np.ndarray, "h w"]:
     """Mean of the differences from pixel to pixel in each sensor pixel."""
-    down, right = (jnp.abs(jnp.diff(image, axis=k, prepend=jnp.take(image, jnp.array([0]), k))) for k in (0, 1))
+    differences = np.abs(np.diff(image, axis=0, prepend=image[:1])) + np.abs(
+        np.diff(image, axis=1, prepend=image[:, :1])
+    )
     height, width = (length // scale for length in image.shape)
-    return (down + right).reshape(height, scale, width, scale).mean((1, 3))
+    return differences.reshape(height, scale, width, scale).mean((1, 3))
 
 
 def _scaled(area: tuple[slice, slice], scale: int) -> tuple[slice, slice]:
@@ -379,12 +385,14 @@ def _split(
     counted = np.flatnonzero(held & (weight > 0))
     if min(counted.size, np.count_nonzero(weight) - counted.size) < settings.least_samples:
         return None
+    kept, held_weight = (on_device(of) for of in (weight * ~held, weight * held))
+    split = eqx.tree_at(lambda p: p.weight, taken.placed, kept)
+    if reused:  # as many samples as are kept, so that one program sums both
+        return _Split(split, eqx.tree_at(lambda p: p.weight, taken.placed, held_weight), first, reused)
     # Padded to one of few lengths, so that compiled code is used again.
     filling = (0, padded_length(counted.size) - counted.size)
-    chosen = taken.placed.only(jnp.asarray(np.pad(counted, filling), jnp.int32))
-    chosen = eqx.tree_at(lambda p: p.weight, chosen, np.pad(weight[counted], filling))
-    kept = eqx.tree_at(lambda p: p.weight, taken.placed, jnp.asarray(weight * ~held))
-    return _Split(kept, chosen, first, reused)
+    chosen = taken.placed.only(np.pad(counted, filling))
+    return _Split(split, eqx.tree_at(lambda p: p.weight, chosen, on_device(np.pad(weight[counted], filling))), first)
 
 
 def longest_merged(
@@ -407,25 +415,21 @@ def in_parts(
 
 
 def _side_of_parts(clip: Clip, scale: int, optics: LinearOperator | None, settings: StrengthSettings) -> int:
-    """Sensor pixels, at most, of a side of the parts that strengths are tried on."""
-    return max(settings.part_px // scale, 1) if optics is None else max(clip.spikes.shape[1:])
+    """Sensor pixels, at most, of a side of the parts that strengths are tried on: the whole picture's where it has no
+    more pixels than the parts have together."""
+    height, width = clip.shape
+    small = scale**2 * height * width <= settings.most_parts * settings.part_px**2
+    return max(height, width) if small or optics is not None else max(settings.part_px // scale, 1)
 
 
-@eqx.filter_jit
-def _weighted_error(held: PlacedSamples, term: DataTerm, image: Float[Array, "H W"]) -> Float[Array, "2"]:
-    """Sums of the weighted squares by which a picture misses the held-out samples, and of their weights."""
-    error = held.read(term.blurred(image)) - held.value
-    return jnp.stack([jnp.sum(held.weight * error**2), jnp.sum(held.weight)])
-
-
-@eqx.filter_jit
 def _added(some: DataTerm, others: DataTerm) -> DataTerm:
     """The term of some samples and of others."""
 
     def sums(of: DataTerm) -> Any:
         return of.stencil.planes, of.target, of.energy
 
-    return eqx.tree_at(sums, some, jax.tree.map(jnp.add, sums(some), sums(others)))
+    total = [on_device(np.add(*both)) for both in zip(sums(some), sums(others), strict=True)]
+    return eqx.tree_at(sums, some, tuple(total))
 
 
 def _vertex(before: float, at: float, after: float) -> float:

@@ -87,7 +87,7 @@ def run(
 
     def advanced(before: Any, most: int) -> tuple[Any, ...]:
         start = _begin(solver, problem, image) if before is None else before
-        return _advance(solver, problem, start, np.int32(most), enough)
+        return advance(solver, problem, start, np.int32(most), enough)
 
     stages: list[Stage] = []
     status = Status.iterations_exhausted
@@ -168,7 +168,7 @@ def _retargeted(solver: Solver[State], problem: Problem, before: Problem, state:
 
 
 def strongly_typed(state: State) -> State:
-    """The state without weak types, such as a Python number leaves: `_advance` gives none, and would compile twice."""
+    """The state without weak types, such as a Python number leaves: `advance` gives none, and would compile twice."""
     return jax.tree.map(
         lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype) if eqx.is_array(leaf) else leaf, state
     )
@@ -181,7 +181,7 @@ def _begin(solver: Solver[State], problem: Problem, image: Float[Array, "H W"]) 
 
 
 @eqx.filter_jit
-def _advance(
+def advance(
     solver: Solver[State],
     problem: Problem,
     state: State,

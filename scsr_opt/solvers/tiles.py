@@ -24,10 +24,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.ndimage import maximum_filter
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.progress import NoProgress, Progress, check_progress
-from scsr_opt.solvers.loop import CORRECTION_ITERATIONS, Correction, Outcome, run
+from scsr_opt.solvers.loop import CORRECTION_ITERATIONS, Correction, Outcome, advance, run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA, ISTA, ProximalGradientState
 from scsr_opt.solvers.record import Stage, Status, TileIterations
@@ -148,8 +149,8 @@ def _run(
     state, status = whole(first * enough, left(), similar=similar)
     finite, visits, stale = state, 0, False
     while status is Status.converged:
-        gradient, slopes = _slopes(current, state.image, state.prior, state.step_size, side)
-        slopes = np.asarray(slopes)
+        gradient, steps_down = _slopes(current, state.image, state.prior, state.step_size)
+        slopes = by_tile(np.asarray(steps_down), np.asarray(state.image), side)
         if not np.isfinite(slopes).all():
             state, status = finite, Status.non_finite
             break
@@ -179,12 +180,13 @@ def _run(
             continue
         residual = math.inf
         for _ in range(min(left(), CORRECTION_ITERATIONS)):
-            following, *found = _step(steps, current, state, side)
-            record, residuals = jax.device_get(found)
-            if not np.isfinite(sum(record[:3])):
+            following, table, _, finite_step, _ = advance(steps, current, state, np.int32(1), np.float32(0))
+            record, change = np.asarray(table)[0], np.asarray(following.image) - np.asarray(state.ahead)
+            residuals = by_tile(change, np.asarray(following.image), side)
+            if not finite_step:
                 status = Status.non_finite
                 break
-            state, residual, worst = following, float(record.residual), float(residuals.max())
+            state, residual, worst = following, float(Record(*record).residual), float(residuals.max())
             stages.append(Stage.of(len(stages) + 1, record, time.perf_counter() - begun))
             if progress is not None:
                 progress.advance(1)
@@ -200,43 +202,32 @@ def _run(
 
 def _restarted(state: ProximalGradientState, gradient: Float[Array, "H W"]) -> ProximalGradientState:
     """The state before the next iteration, without momentum, where ∇f has become another."""
-    image, nothing = state.image, jnp.full_like(state.objective, jnp.inf)
+    none, unknown = (on_device(np.asarray(number, state.image.dtype)) for number in (1, np.inf))
     return state._replace(
-        gradient=gradient,
-        ahead=image,
-        ahead_gradient=gradient,
-        momentum=jnp.ones_like(state.momentum),
-        objective=nothing,
+        gradient=gradient, ahead=state.image, ahead_gradient=gradient, momentum=none, objective=unknown
     )
 
 
 @eqx.filter_jit
 def _slopes(
-    problem: Problem, image: Float[Array, "H W"], dual: Any, step_size: Float[Array, "H W"], side: int
-) -> tuple[Float[Array, "H W"], Float[Array, "rows columns"]]:
-    """∇f, and by how much a step along the slope of F, ∇f + λK*p, would change each tile."""
+    problem: Problem, image: Float[Array, "H W"], dual: Any, step_size: Float[Array, "H W"]
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+    """∇f, and by how much a step along the slope of F, ∇f + λK*p, would change the picture."""
     assert isinstance(problem.prior, Analysis)  # `is_tileable` saw to it
     gradient = problem.data.gradient(image)
     slope = gradient + problem.strength * problem.prior.adjoint(dual)
-    return gradient, by_tile(step_size * slope, image, side)
+    return gradient, step_size * slope
 
 
-@eqx.filter_jit
-def _step(
-    solver: Solver, problem: Problem, state: ProximalGradientState, side: int
-) -> tuple[ProximalGradientState, Record, Float[Array, "rows columns"]]:
-    """A step of the whole picture: the state after it, its record, and by how much it changed each tile."""
-    after, record = solver.step(problem, state)
-    return after, record, by_tile(after.image - state.ahead, after.image, side)
-
-
-def by_tile(change: Float[Array, "H W"], image: Float[Array, "H W"], side: int) -> Float[Array, "rows columns"]:
+def by_tile(
+    change: Float[np.ndarray, "H W"], image: Float[np.ndarray, "H W"], side: int
+) -> Float[np.ndarray, "rows columns"]:
     """The root mean square of a change in each tile of side × side pixels, as a share of the picture's; what of a tile
     is outside the picture counts as not changed."""
-    height, width = change.shape
-    rows, columns = -(-height // side), -(-width // side)
-    squares = jnp.pad(change**2, ((0, rows * side - height), (0, columns * side - width)))
-    return jnp.sqrt(squares.reshape(rows, side, columns, side).sum((1, 3)) / side**2) / _level(image)
+    squares = np.add.reduceat(change**2, np.arange(0, change.shape[0], side), axis=0)
+    squares = np.add.reduceat(squares, np.arange(0, change.shape[1], side), axis=1)
+    level = max(np.sqrt(np.mean(image**2)), np.finfo(image.dtype).tiny ** 0.5)
+    return np.sqrt(squares / side**2) / level
 
 
 def _on_tiles(

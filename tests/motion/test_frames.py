@@ -6,7 +6,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, median_filter
 
 from scsr_opt.motion.estimators.dense import _median
-from scsr_opt.motion.estimators.frames import MotionFrames, drift, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, drift, drift_of, smooth, smoothed
 
 RANDOM = np.random.default_rng(3)
 
@@ -17,6 +17,7 @@ def test_smoothing_by_windows_of_every_width(sigma):
     reach = int(np.ceil(3 * sigma))
     expected = gaussian_filter(picture.astype(np.float64), sigma, axes=(1, 2), mode="nearest", radius=reach)
     np.testing.assert_allclose(smooth(jnp.asarray(picture), jnp.asarray(sigma)), expected, atol=1e-6)
+    np.testing.assert_allclose(smoothed(picture, sigma), expected, atol=1e-6)
 
 
 def test_the_median_is_that_of_scipy():
@@ -24,9 +25,9 @@ def test_the_median_is_that_of_scipy():
     np.testing.assert_array_equal(_median(jnp.asarray(picture), 5), median_filter(picture, (1, 5, 5), mode="nearest"))
 
 
-@pytest.mark.parametrize("moving", [True, False])
+@pytest.mark.parametrize("moving, compiled", [(True, True), (True, False), (False, False)])
 @pytest.mark.parametrize("reach", [6.0, 100.0])
-def test_drift_is_the_written_out_regression(moving, reach):
+def test_drift_is_the_written_out_regression(moving, compiled, reach):
     height, width, after = 12, 17, np.linspace(-12, 15, 9).astype(np.float32)
     pictures = gaussian_filter(RANDOM.normal(size=(9, height, width)), (0, 1, 1))
     motion = [gaussian_filter(RANDOM.normal(size=(2, height, width)), (0, 3, 3)) * size for size in (0.5, 0.02)]
@@ -42,8 +43,9 @@ def test_drift_is_the_written_out_regression(moving, reach):
     mean = (weight * value).sum(0) / seen
     basis = np.stack([after, after**2 / 2])[:, :, None, None]
     centred = basis - (weight * basis).sum(1, keepdims=True) / seen
-    given = tuple(jnp.asarray(field, jnp.float32) for field in motion) if moving else None
-    found = drift(jnp.asarray(pictures, jnp.float32), jnp.asarray(after), jnp.asarray(part, jnp.float32), given)
+    given = tuple(field.astype(np.float32) for field in motion) if moving else None
+    pictures = pictures.astype(np.float32)
+    found = drift(pictures, after, np.float32(part), given) if compiled else drift_of(pictures, after, given, part)
     shown = weight.sum(0) > 0
     np.testing.assert_allclose(found.seen, weight.sum(0))
     # A thousandth of what such sums come to: rounding of sums of τ⁴ up to 5e4, and of places at the border.

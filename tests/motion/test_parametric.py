@@ -153,12 +153,12 @@ def test_compiled_once_for_all_models_and_regions_of_a_size():
     small = np.zeros((HEIGHT, WIDTH), bool)
     small[:20, :20] = True
     parametric(pictures, where=small)
-    compiled = module._fit._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+    compiled = module._sums_along._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
     small[30:50, 30:50] = True
     parametric(pictures, where=small)
     parametric(pictures, affine=False)
     parametric(drawn(np.full((2, HEIGHT, WIDTH), 0.1)), perspective=False, settings=MotionSettings())
-    assert module._fit._cache_size() == compiled  # pyright: ignore[reportAttributeAccessIssue]
+    assert module._sums_along._cache_size() == compiled  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (2, 30), (7, 3)])

@@ -374,7 +374,7 @@ def test_samples_with_several_numbers_of_positions_are_those_of_each_number_toge
     spread = sum(placed.spread(values[number == k]) for k, placed in apart.items())
     np.testing.assert_allclose(together.spread(values), spread, atol=1e-12)
     few = np.arange(number.size)[::-3]  # in any order
-    np.testing.assert_array_equal(together.only(jnp.asarray(few)).read(u), np.asarray(together.read(u))[few])
+    np.testing.assert_array_equal(together.only(few).read(u), np.asarray(together.read(u))[few])
     assert_sum(accumulate(together), list(terms.values()))
     corrected = [with_exposure(terms[k], apart[k], u) for k in apart]
     assert_sum(with_exposure(accumulate(together), together, u), corrected)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from scsr_opt.motion.estimators.frames import MotionFrames, drift, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, drift, smooth, smoothed
 from scsr_opt.motion.settings import DEFAULTS, DenseSettings, MotionSettings
 from scsr_opt.motion.trajectory import Motion
 
@@ -167,22 +167,16 @@ def _median(values: Float[Array, "c h w"], side: int) -> Float[Array, "c h w"]:
     return sorting[len(sorting) // 2]
 
 
-def _chance_level(pictures: MotionFrames, settings: DenseSettings) -> Float[Array, "*hw"]:
+def _chance_level(pictures: MotionFrames, settings: DenseSettings) -> Float[np.ndarray, "*hw"]:
     """Squared acceleration times its information that noise has: `acceleration_chance`, times the number of pictures
     that one interval of a pixel lasts, as these share its noise."""
     firing, after = pictures.firing, pictures.after
     if firing is None or after.size < 2:
-        return jnp.asarray(settings.acceleration_chance, jnp.float32)
-    return _shared_noise(firing, after, settings)
-
-
-@partial(jax.jit, static_argnames="settings")
-def _shared_noise(
-    firing: Float[Array, "h w"], after: Float[Array, " n"], settings: DenseSettings
-) -> Float[Array, "h w"]:
-    frames = (after[-1] - after[0]) / (after.size - 1)
-    around = smooth(firing, jnp.asarray(settings.acceleration_window_px))
-    return settings.acceleration_chance / jnp.clip(around * frames, settings.least_picture_share, 1)
+        return np.asarray(settings.acceleration_chance, np.float32)
+    times = np.asarray(after)
+    frames = (times[-1] - times[0]) / (times.size - 1)
+    around = smoothed(firing, settings.acceleration_window_px)
+    return settings.acceleration_chance / np.clip(around * frames, settings.least_picture_share, 1)
 
 
 def _shrunk(

@@ -1,16 +1,14 @@
 """Test of a motion against the recording: which pixels contradict it, and how well it predicts the pictures."""
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
-from scsr_opt.motion.estimators.frames import Drift, MotionFrames, along, drift, resting_drift, smoothed
-from scsr_opt.motion.inversion import Corner, bilinear, in_turn, interpolated
-from scsr_opt.motion.settings import DEFAULTS, ComparisonSettings, MotionSettings
+from scsr_opt._kernels.device import on_device
+from scsr_opt.motion.estimators.frames import Drift, MotionFrames, drift_of, picture_along, smoothed
+from scsr_opt.motion.inversion import read_picture
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion, key_frame_positions
 
 
@@ -21,8 +19,7 @@ def contradicted(
     better and at a clear distance (`EvidenceSettings`)."""
     limits, by = settings.evidence, settings.comparison
     after = np.asarray(pictures.after)
-    fields = motion.velocity, motion.acceleration
-    now = drift(pictures.presmoothed(by.presmoothing_px), after, np.ones_like(after), fields)
+    now = drift_of(pictures.presmoothed(by.presmoothing_px), after, (motion.velocity, motion.acceleration))
     gain, distance, _ = _score_test(now, after, settings)
     exceeds = (gain > limits.contradiction_likelihood) & (distance > limits.contradiction_px)
     return exceeds & observable(pictures, motion, settings)
@@ -70,34 +67,17 @@ def variance_along(
 ) -> Float[np.ndarray, "rows columns"]:
     """Variance, intensity², of the pictures along a motion after presmoothing by `sigma` sensor pixels, at each
     `every`-th row and column."""
-    presmoothed = pictures.presmoothed(sigma)
-    return np.asarray(_variance(presmoothed, pictures.after, motion.velocity, motion.acceleration, every))
-
-
-@partial(jax.jit, static_argnames="every")
-def _variance(
-    pictures: Float[Array, "n h w"],
-    after: Float[Array, " n"],
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"],
-    every: int,
-) -> Float[Array, "rows columns"]:
-    """`Drift.residual` over `Drift.seen`, in two thirds of the time that `drift` takes."""
-    about = pictures[jnp.argmin(jnp.abs(after)), ::every, ::every]
-
-    def place(k: Array) -> tuple[Corner, Array]:
-        return along(after[k], velocity, acceleration, every=every)
-
-    def look(k: Array, placed: tuple[Corner, Array]) -> tuple[Array, Array]:
-        return interpolated(pictures[k], placed[0]), placed[1]
-
-    def add(_: Array, found: tuple[Array, Array], sums: tuple[Array, ...]) -> tuple[Array, ...]:
-        value, inside = found
+    presmoothed, after = np.asarray(pictures.presmoothed(sigma)), np.asarray(pictures.after)
+    about = presmoothed[np.argmin(np.abs(after)), ::every, ::every]
+    seen, total, squares = (np.zeros_like(about) for _ in range(3))
+    fields = on_device(motion.velocity), on_device(motion.acceleration)
+    for picture, tau in zip(presmoothed, after, strict=True):
+        value, inside = map(np.asarray, picture_along(picture, tau, *fields, every=every))
         value = (value - about) * inside
-        return sums[0] + inside, sums[1] + value, sums[2] + value**2
-
-    seen, total, squares = in_turn(place, look, add, (jnp.zeros_like(about),) * 3, 0, after.size)
-    return jnp.maximum(squares - total**2 / jnp.maximum(seen, 1e-6), 0) / jnp.maximum(seen, 1)
+        seen += inside
+        total += value
+        squares += value**2
+    return np.maximum(squares - total**2 / np.maximum(seen, np.float32(1e-6)), 0) / np.maximum(seen, 1)
 
 
 def typical_noise(pictures: MotionFrames, motion: Motion, sigma: float | int) -> float:
@@ -117,14 +97,10 @@ def counts_agree(pictures: MotionFrames, motion: Motion, settings: MotionSetting
     counts, after = pictures.presmoothed_counts(by.presmoothing_px), np.asarray(pictures.after)
     if counts is None:
         return True
-    resting = resting_drift(np.asarray(counts), after)
-    moving = drift(counts, after, np.ones_like(after), (motion.velocity, motion.acceleration))
+    moving, resting = (drift_of(counts, after, of) for of in ((motion.velocity, motion.acceleration), None))
     # Two moments leave nothing but noise, and one has no variance.
-    seen = np.asarray(moving.seen) >= limits.counted_moments
-    along, still = (
-        np.where(seen, np.asarray(now.residual) / np.maximum(np.asarray(now.seen) - 1, 1), 0)
-        for now in (moving, resting)
-    )
+    seen = moving.seen >= limits.counted_moments
+    along, still = (np.where(seen, now.residual / np.maximum(now.seen - 1, 1), 0) for now in (moving, resting))
     worse = seen & (smoothed(along - still, by.window_px) > 0)
     less = float(along.sum()) < limits.counts_variance_ratio * float(still.sum())
     return less and float(worse.sum()) <= limits.counts_worse_share * float(seen.sum())
@@ -162,38 +138,19 @@ def predict(
     """
     by = settings.comparison
     every = by.sparse_step if sparse else 1
-    presmoothed, after = pictures.presmoothed(by.presmoothing_px), np.asarray(pictures.after)
-    near = (np.abs(after) <= max(by.key_picture_frames, float(np.abs(after).min()))).astype(np.float32)
-    key_picture = drift(presmoothed, after, near, (motion.velocity, motion.acceleration)).mean
+    presmoothed, after = np.asarray(pictures.presmoothed(by.presmoothing_px)), np.asarray(pictures.after)
+    near = np.abs(after) <= max(by.key_picture_frames, float(np.abs(after).min()))
+    key_picture = drift_of(presmoothed, after, (motion.velocity, motion.acceleration), near).mean
     position, visible = key_frame_positions(
         motion, after[:: by.picture_step], every=every, settings=settings.trajectory
     )
-    residual, visible = _predicted(presmoothed, position, visible, key_picture, np.float32(noise), every, by)
-    return Prediction(np.asarray(residual), np.asarray(visible), by.residual_cap)
-
-
-@partial(jax.jit, static_argnames=("every", "settings"))
-def _predicted(
-    pictures: Float[Array, "m h w"],
-    position: Float[Array, "n 2 rows columns"],
-    visible: Float[Array, "n rows columns"],
-    key_picture: Float[Array, "h w"],
-    noise: Float[Array, ""],
-    every: int,
-    settings: ComparisonSettings,
-) -> tuple[Float[Array, "n rows columns"], Float[Array, "n rows columns"]]:
-    """Capped squared residual and visibility of `Prediction`."""
-    height, width = key_picture.shape
-    shown = pictures[:: settings.picture_step, ::every, ::every]
-
-    def one(moment: tuple[Array, Array]) -> tuple[Array, Array]:
-        picture, q = moment
-        inside = (q[0] >= 0) & (q[1] >= 0) & (q[0] <= height - 1) & (q[1] <= width - 1)
-        residual = (picture - bilinear(key_picture[None], q[0], q[1])[0]) ** 2 / noise
-        return jnp.minimum(residual, settings.residual_cap), inside.astype(key_picture.dtype)
-
-    residual, inside = jax.lax.map(one, (shown, position))
-    return residual, visible * inside
+    shown, height, width = presmoothed[:: by.picture_step, ::every, ::every], *key_picture.shape
+    residual, visible = np.empty(shown.shape, np.float32), np.array(visible)
+    for k, (row, column) in enumerate(np.asarray(position)):
+        difference = shown[k] - np.asarray(read_picture(key_picture, row, column))
+        residual[k] = np.minimum(difference**2 / np.float32(noise), np.float32(by.residual_cap))
+        visible[k] *= (row >= 0) & (column >= 0) & (row <= height - 1) & (column <= width - 1)
+    return Prediction(residual, visible, by.residual_cap)
 
 
 def _score_test(
@@ -205,7 +162,7 @@ def _score_test(
     (sensor pixels), and the least gain that a displacement of `contradiction_px` would have.
     """
     window, pixels = settings.comparison.window_px, settings.evidence.contradiction_px
-    now, longest = Drift(*map(np.asarray, now)), np.abs(after).max()
+    longest = np.abs(after).max()
     (down, right), spread, change = now.slope, now.spread[0, 0], now.change[0]
     fields = [now.residual / np.maximum(now.seen, 1)]
     fields += [spread * down * down, spread * down * right, spread * right * right, -change * down, -change * right]

@@ -11,6 +11,7 @@ first guess is needed.
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
@@ -84,7 +85,7 @@ class MotionFrames:
     @_cached
     def drift_at_rest(self, sigma: float) -> "Drift":
         """`Drift` without motion, of all pictures presmoothed by `sigma` sensor pixels."""
-        return resting_drift(np.asarray(self.presmoothed(sigma)), np.asarray(self.after))
+        return drift_of(self.presmoothed(sigma), np.asarray(self.after), None)
 
     @_cached
     def presmoothed_counts(self, sigma: float) -> Float[Array, "n h w"] | None:
@@ -111,11 +112,14 @@ class MotionFrames:
         height, width = self.picture.shape[1:]
         if len(range(height)[rows]) == height and len(range(width)[columns]) == width:
             return self
-        firing = None if self.firing is None else self.firing[rows, columns]
-        counted = self.counted
-        of_part = None if counted is None else lambda: counted()[:, rows, columns]
-        known = {sigma: self.presmoothed(sigma)[:, rows, columns] for sigma in presmoothed}
-        return MotionFrames(self.picture[:, rows, columns], self.after, firing, of_part, self.cutoff, known)
+
+        def cut(of: Array) -> Array:
+            return on_device(np.asarray(of)[..., rows, columns])
+
+        firing, counted = None if self.firing is None else cut(self.firing), self.counted
+        of_part = None if counted is None else lambda: cut(counted())
+        known = {sigma: cut(self.presmoothed(sigma)) for sigma in presmoothed}
+        return MotionFrames(cut(self.picture), self.after, firing, of_part, self.cutoff, known)
 
 
 def motion_frames(
@@ -261,29 +265,66 @@ def drift(
     )
 
 
-def resting_drift(pictures: Float[np.ndarray, "n h w"], after: Float[np.ndarray, " n"]) -> Drift:
-    """`drift` of all pictures without motion, where every point is in view at all moments; once for a recording, so
-    that NumPy is faster than compiling a program."""
+def drift_of(
+    pictures: Float[Array | np.ndarray, "n h w"],
+    after: Float[np.ndarray, " n"],
+    motion: tuple[Float[np.ndarray, "2 h w"], Float[np.ndarray, "2 h w"]] | None,
+    taking_part: Bool[np.ndarray, " n"] | None = None,
+) -> Drift:
+    """`drift` outside `jit`: as fast by NumPy, without a program to be compiled. `motion`: None at rest; `taking_part`:
+    all moments if None."""
+    pictures = np.asarray(pictures)
     about = pictures[np.argmin(np.abs(after))]
-    values = [np.zeros_like(about) for _ in range(4)]
-    for picture, tau in zip(pictures, after, strict=True):
-        value = picture - about
-        for total, more in zip(values, (value, tau * value, tau**2 / 2 * value, value**2), strict=True):
-            total += more
-    basis = np.stack([after, after**2 / 2])
-    first, count = basis.sum(1), np.float32(after.size)
+    fields = None if motion is None else (on_device(motion[0]), on_device(motion[1]))
+    ones, sums = np.ones_like(about), [np.zeros_like(about) for _ in range(9)]
+    for k in np.arange(after.size) if taking_part is None else np.flatnonzero(taking_part):
+        value, inside = (pictures[k], ones) if fields is None else picture_along(pictures[k], after[k], *fields)
+        sums = _with_moment(sums, after[k], value, inside, about)
+    moments, values = np.stack(sums[:5]), np.stack(sums[5:])
+    seen, first = moments[0], np.stack([moments[1], moments[2] / 2])
+    count = np.maximum(seen, np.float32(1e-6))
     mean = values[0] / count
     full = mean + about
     edged = np.pad(full, 1, mode="edge")
-    spread = basis @ basis.T - first[:, None] * first / count
+    square = np.array([[moments[2], moments[3] / 2], [moments[3] / 2, moments[4] / 4]])
     return Drift(
         mean=full,
         slope=np.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2,
-        change=np.stack(values[1:3]) - first[:, None, None] * mean,
-        spread=np.broadcast_to(spread[..., None, None], (2, 2, *about.shape)),
+        change=values[1:3] - first * mean,
+        spread=square - first[:, None] * first / count,
         residual=np.maximum(values[3] - values[0] * mean, 0),
-        seen=np.full_like(about, count),
+        seen=seen,
     )
+
+
+@jax.jit
+def _with_moment(
+    sums: list[Float[Array, "h w"]],
+    tau: Float[Array, ""],
+    value: Float[Array, "h w"],
+    inside: Float[Array, "h w"],
+    about: Float[Array, "h w"],
+) -> list[Float[Array, "h w"]]:
+    """The sums of `drift` with one moment more, of weight `inside`."""
+    value = (value - about) * inside
+    powers = [inside, inside * tau, inside * tau**2, inside * tau**3, inside * tau**4]
+    values = [value, value * tau, value * (tau**2 / 2), value * value]
+    return [total + more for total, more in zip(sums, powers + values, strict=True)]
+
+
+@partial(jax.jit, static_argnames="every")
+def picture_along(
+    picture: Float[Array, "h w"],
+    after: Float[Array, ""],
+    velocity: Float[Array, "2 h w"],
+    acceleration: Float[Array, "2 h w"],
+    *,
+    every: int = 1,
+) -> tuple[Float[Array, "rows columns"], Float[Array, "rows columns"]]:
+    """A picture along a motion, read at the positions of the key frame's points `after` frames later, and 1 where the
+    position is in view, else 0; for each `every`-th row and column."""
+    corner, inside = along(after, velocity, acceleration, every=every)
+    return interpolated(picture, corner), inside
 
 
 # Largest reach of `smooth`, pixels, and how many taps are added in one pass (of its loop, to save memory traffic).
@@ -292,9 +333,7 @@ _REACH, _TAPS_AT_ONCE = 18, 16
 
 @jax.jit
 def smooth(
-    values: Float[Array | np.ndarray, "... h w"],
-    sigma: Float[Array | np.floating, ""],
-    cut: Float[Array | np.floating, ""] | float = 3.0,
+    values: Float[Array, "... h w"], sigma: Float[Array, ""], cut: Float[Array, ""] | float = 3.0
 ) -> Float[Array, "... h w"]:
     """Gaussian smoothing over the last two axes by a standard deviation of `sigma` pixels, cut off at `cut` of these
     and at 18 pixels; beyond the border its values continue.
@@ -326,12 +365,12 @@ def smooth(
 
 
 def smoothed(
-    values: Float[Array | np.ndarray, "*n h w"], sigma: float | int | np.floating, cut: float | int = 3.0
+    values: Float[Array | np.ndarray, "*n h w"], sigma: float | int, cut: float | int = 3.0
 ) -> Float[np.ndarray, "*n h w"]:
     """`smooth` of a stack, picture by picture: one program serves stacks of any number of pictures."""
     pictures = np.asarray(values)
-    sigma, cut = np.float32(sigma), np.float32(cut)
-    found = [smooth(picture, sigma, cut) for picture in pictures.reshape(-1, *pictures.shape[-2:])]
+    by, until = np.asarray(sigma, pictures.dtype), np.asarray(cut, pictures.dtype)
+    found = [smooth(picture, by, until) for picture in pictures.reshape(-1, *pictures.shape[-2:])]
     return np.stack([np.asarray(picture) for picture in found]).reshape(pictures.shape)
 
 

@@ -13,17 +13,16 @@ from functools import partial
 from typing import cast
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt._threads import in_threads
 from scsr_opt.motion.estimators.evidence import contradicted, typical_noise, variance_along
-from scsr_opt.motion.estimators.frames import MotionFrames, along, drift, smooth
+from scsr_opt.motion.estimators.frames import MotionFrames, drift_of, picture_along, smoothed
 from scsr_opt.motion.estimators.parametric import generators, parametric
-from scsr_opt.motion.inversion import Corner, bilinear, in_turn, interpolated, inverse
+from scsr_opt.motion.inversion import inverse, read_picture
 from scsr_opt.motion.settings import DEFAULTS, LayerSettings, MotionSettings
 from scsr_opt.motion.trajectory import Layers, Motion
 
@@ -278,39 +277,25 @@ def _refitted_inside(
 def _labels(mismatches: list[Float[np.ndarray, "h w"]], settings: MotionSettings) -> Int[np.ndarray, "h w"]:
     """The layer of each key-frame pixel: that of least mismatch, regularised by its neighbours' layers."""
     mismatch, options = np.stack(mismatches), settings.layers
-    label = _regularised_labels(mismatch, settings.comparison.neighbourhood_px, options)
-    return _islands_merged(np.asarray(label), mismatch, options)
+    return _islands_merged(
+        _regularised_labels(mismatch, settings.comparison.neighbourhood_px, options), mismatch, options
+    )
 
 
-@partial(jax.jit, static_argnames=("neighbourhood", "settings"))
 def _regularised_labels(
-    mismatch: Float[Array, "layers h w"], neighbourhood: float, settings: LayerSettings
-) -> Int[Array, "h w"]:
+    mismatch: Float[np.ndarray, "layers h w"], neighbourhood: float, settings: LayerSettings
+) -> Int[np.ndarray, "h w"]:
     """Labels of least mismatch minus what agreement with the neighbourhood gains, by iterated conditional modes (Besag,
     1986)."""
-    numbers = jnp.arange(len(mismatch))[:, None, None]
-    cost = mismatch + settings.order_penalty * numbers.astype(mismatch.dtype)
-
-    def turn(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        label, done, _ = carry
-        around = smooth((label[None] == numbers).astype(cost.dtype), jnp.asarray(neighbourhood))
-        again = _least(cost - settings.neighbour_gain * around)
-        return again, done + 1, jnp.any(again != label)
-
-    def unfinished(carry: tuple[Array, Array, Array]) -> Array:
-        return (carry[1] < settings.most_label_turns) & carry[2]
-
-    begin = _least(cost), jnp.zeros((), jnp.int32), jnp.asarray(True)
-    return jax.lax.while_loop(unfinished, turn, begin)[0]
-
-
-def _least(cost: Float[Array, "layers h w"]) -> Int[Array, "h w"]:
-    """The layer of least cost, the first of equal ones; layer by layer, for the reason given at `folded`."""
-    least, label = cost[0], jnp.zeros(cost.shape[1:], jnp.int32)
-    for k in range(1, len(cost)):
-        label = jnp.where(cost[k] < least, k, label)
-        least = jnp.minimum(least, cost[k])
-    return label
+    numbers = np.arange(len(mismatch))[:, None, None]
+    cost = mismatch + np.float32(settings.order_penalty) * numbers.astype(mismatch.dtype)
+    label = cost.argmin(0)
+    for _ in range(settings.most_label_turns):
+        around = smoothed((label == numbers).astype(cost.dtype), neighbourhood)
+        before, label = label, (cost - np.float32(settings.neighbour_gain) * around).argmin(0)
+        if np.array_equal(label, before):
+            break
+    return label.astype(np.int32)
 
 
 def _islands_merged(
@@ -350,70 +335,47 @@ def _mismatch(
     """Mean squared difference of the pictures along a motion from the key frame's, in units of the variance `noise`."""
     options, cap = settings.layers, settings.comparison.residual_cap
     fields = (motion.velocity, motion.acceleration) if motion.moves else None
-    sharp = pictures.presmoothed(options.presmoothing_px)
-    sides = _mismatch_of_sides(sharp, pictures.after, fields, np.float32(noise), cap, options)
-    sides = ndimage.gaussian_filter(np.asarray(sides), (0, options.support_px, options.support_px))
+    sides = _mismatch_of_sides(pictures, fields, noise, cap, options)
+    sides = ndimage.gaussian_filter(sides, (0, options.support_px, options.support_px))
     better = options.better_side_weight
     return better * sides.min(0) + (1 - better) * sides.mean(0)
 
 
-@partial(jax.jit, static_argnames=("cap", "settings"))
 def _mismatch_of_sides(
-    pictures: Float[Array, "n h w"],
-    after: Float[Array, " n"],
-    motion: tuple[Float[Array, "2 h w"], Float[Array, "2 h w"]] | None,
-    noise: Float[Array, ""],
+    pictures: MotionFrames,
+    motion: tuple[Float[np.ndarray, "2 h w"], Float[np.ndarray, "2 h w"]] | None,
+    noise: float,
     cap: float,
     settings: LayerSettings,
-) -> Float[Array, "2 h w"]:
+) -> Float[np.ndarray, "2 h w"]:
     """Mean squared difference of the pictures from their mean near the key frame, for times before it and after it, in
     units of `noise`, each at most `cap`.
 
     `motion`: velocity and acceleration, or None at rest. Moments near the key frame count less, as all motions agree
     there.
     """
-    height, width = pictures.shape[1:]
-
+    sharp, after = np.asarray(pictures.presmoothed(settings.presmoothing_px)), np.asarray(pictures.after)
+    ones = np.ones(sharp.shape[1:], np.float32)
+    fields = None if motion is None else (on_device(motion[0]), on_device(motion[1]))
+    shown = [
+        (picture, ones) if fields is None else tuple(map(np.asarray, picture_along(picture, tau, *fields)))
+        for picture, tau in zip(sharp, after, strict=True)
+    ]
     # Relative to the weight of the nearest moment; moments of hardly any weight are left out.
-    near = jnp.exp(-0.5 * (after**2 - jnp.min(after**2)) / settings.key_picture_frames**2)
-    numbers = jnp.arange(after.size)
-    begin = jnp.min(jnp.where(near > settings.least_weight, numbers, after.size))
-    end = jnp.max(jnp.where(near > settings.least_weight, numbers + 1, 0))
-
-    def place(k: Array) -> tuple[Corner, Array] | None:
-        return None if motion is None else along(after[k], *motion)
-
-    def look(k: Array, placed: tuple[Corner, Array] | None) -> tuple[Array, Array]:
-        if placed is None:  # at rest nothing is interpolated
-            return pictures[k], jnp.ones((height, width), pictures.dtype)
-        return interpolated(pictures[k], placed[0]), placed[1]
-
-    def average(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:
-        value, inside = found
-        return sums[0] + near[k] * inside * value, sums[1] + near[k] * inside
-
-    nothing = jnp.zeros((height, width), jnp.float32)
-    total, weight = in_turn(place, look, average, (nothing, nothing), begin, end)
-    reference = total / jnp.maximum(weight, 1e-6)
-
-    def compare(k: Array, found: tuple[Array, Array], sums: tuple[Array, Array]) -> tuple[Array, Array]:
-        tau, (value, inside) = after[k], found
-        side = jnp.stack([tau < 0, tau >= 0]).astype(jnp.float32)[:, None, None]
-        side = side * jnp.minimum(jnp.abs(tau) / settings.late_frames, 1) * inside[None]
-        difference = jnp.minimum((value - reference) ** 2 / noise, cap)
-        return sums[0] + side * difference[None], sums[1] + side
-
-    neither = jnp.zeros((2, height, width), jnp.float32)
-    total, weight = in_turn(place, look, compare, (neither, neither), 0, after.size)
+    near = np.exp(-0.5 * (after**2 - np.min(after**2)) / settings.key_picture_frames**2).astype(np.float32)
+    total, weight = np.zeros_like(ones), np.zeros_like(ones)
+    for share, (value, inside) in zip(near, shown, strict=True):
+        if share > settings.least_weight:
+            total += share * inside * value
+            weight += share * inside
+    reference = total / np.maximum(weight, np.float32(1e-6))
+    totals, weights = (np.zeros((2, *ones.shape), np.float32) for _ in range(2))
+    for tau, (value, inside) in zip(after, shown, strict=True):
+        side, part = int(tau >= 0), np.float32(min(abs(tau) / settings.late_frames, 1)) * inside
+        totals[side] += part * np.minimum((value - reference) ** 2 / np.float32(noise), np.float32(cap))
+        weights[side] += part
     # Out of view nothing speaks for or against the motion: half of the cap.
-    return jnp.where(weight > 0.5, total / jnp.maximum(weight, 1e-6), cap / 2)
-
-
-@jax.jit
-def _at_positions(
-    picture: Float[Array, "h w"], member: Float[Array, "h w"], position: Float[Array, "n 2 rows columns"]
-) -> list[Float[Array, "n rows columns"]]:
-    return jax.lax.map(lambda q: [bilinear(field[None], q[0], q[1])[0] for field in (picture, member)], position)
+    return np.where(weights > 0.5, totals / np.maximum(weights, np.float32(1e-6)), np.float32(cap / 2))
 
 
 def _depth(
@@ -426,14 +388,17 @@ def _depth(
     number, some = len(layers.depth), slice(None, None, by.picture_step)
     voting = np.asarray(sharp)[some, ::every, ::every]
     after = np.asarray(pictures.after)
-    near = (np.abs(after) <= by.key_picture_frames).astype(np.float32)
+    near = np.abs(after) <= by.key_picture_frames
 
     def compared(k: int) -> tuple[Float[np.ndarray, "n rows columns"], Bool[np.ndarray, "n rows columns"]]:
         """Squared difference of a layer from the pictures, and the pixels on which it comes to lie."""
         velocity, acceleration = layers.velocity[k], layers.acceleration[k]
         origin = inverse(velocity, acceleration, after[some], every=every, settings=settings.trajectory)
-        key_picture = drift(sharp, after, near, (velocity, acceleration)).mean
-        picture, member = map(np.asarray, _at_positions(key_picture, (layers.label == k).astype(np.float32), origin))
+        key_picture = drift_of(sharp, after, (velocity, acceleration), near).mean
+        of_layer = (layers.label == k).astype(np.float32)
+        picture, member = (
+            np.stack([np.asarray(read_picture(of, *at)) for at in np.asarray(origin)]) for of in (key_picture, of_layer)
+        )
         return (picture - voting) ** 2, member > 0.5
 
     difference, there = zip(*in_threads(compared, range(number)), strict=True)

@@ -5,8 +5,9 @@ RUN_STAMP := .venv/.installed
 DEV_STAMP := .venv/.installed-dev
 PYTEST_ARGS ?=
 PYTEST_WORKERS ?= 2
-# What `make test-fast` runs: no test here compiles a whole reconstruction.
-FAST := $(addprefix tests/,camera operators report test_errors.py test_files.py test_validation.py)
+# What `make test-fast` runs: no test here compiles a whole reconstruction, or the many programs of placed samples.
+FAST := $(addprefix tests/,camera operators/test_operators.py operators/test_checks.py report test_errors.py \
+	test_files.py test_validation.py)
 
 .DEFAULT_GOAL := help
 .PHONY: help demo peers choosing stress bench test test-fast test-slow lint format types pytest notebooks picture constraints setup clean distclean

@@ -6,6 +6,7 @@ itself.
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 # Before anything imports matplotlib or a BLAS: no display is needed, and with one worker process per core a pool of
@@ -37,6 +38,9 @@ import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# The processes that tests start, some forty, find the packages compiled to bytecode.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # Has to come before the first import of the packages: modules that are loaded already stay unchecked.
 jaxtyping.install_import_hook(["scsr_opt", "learned"], "beartype.beartype")
 

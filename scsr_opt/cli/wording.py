@@ -1,6 +1,8 @@
 """An error of any kind as one sentence, as `scsr` says it."""
 
+import os
 import re
+import traceback
 
 from cyclopts import CycloptsError, MissingArgumentError, UnknownCommandError, UnusedCliTokensError
 
@@ -20,7 +22,23 @@ def sentence(error: Exception) -> str:
         return "there is not enough memory for this; take fewer --frames, a --crop of the sensor or a smaller --scale."
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}." if error.filename else f"{error.strerror}."
+    if (refused := _refused_by_jax(error)) is not None:
+        return refused
     return f"{type(error).__name__}: {error} (a fault of the program; SCSR_TRACEBACK=1 shows where)"
+
+
+def _refused_by_jax(error: Exception) -> str | None:
+    """Sentence on a variable of the environment that JAX refuses when it is imported; None for any other error."""
+    importing = any(
+        frame.name == "<module>" and frame.filename.endswith(("jax/__init__.py", "jax\\__init__.py"))
+        for frame in traceback.extract_tb(error.__traceback__)
+    )
+    variables = [f"{name}={value}" for name, value in os.environ.items() if name.startswith("JAX_")]
+    if not importing or not isinstance(error, ValueError) or not variables:
+        return None
+    said = str(error).lower().replace(".", "_")
+    named = [each for each in variables if each.split("=")[0].lower() in said]
+    return f"JAX refuses the environment's {' or '.join(named or variables)}: correct or unset it."
 
 
 def _of_parser(error: CycloptsError) -> str:

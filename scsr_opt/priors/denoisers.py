@@ -33,6 +33,9 @@ class NumpyDenoiser(eqx.Module):
 
     **Arguments:** `function`: (image, σ) → image of the same shape, free of side effects. Two denoisers are the same to
     the compiler if their functions are: make a function once, not anew for each call.
+
+    **Errors:** `InputError` when a call is traced, for a function that raises an error or gives no picture: it is tried
+    on a grey one, so that what is wrong is known before the loop runs, wherever in a denoiser the call stands.
     """
 
     function: Callable[[np.ndarray, float], np.ndarray] = eqx.field(static=True)
@@ -44,6 +47,7 @@ class NumpyDenoiser(eqx.Module):
             result = np.ascontiguousarray(self.on_numpy(picture, float(level)), dtype=image.dtype)
             return result[..., None].view(np.uint32) if result.dtype == np.float64 else result
 
+        _try(lambda: self.on_numpy(np.full(image.shape, 0.5, image.dtype), 0.1), image.shape)
         words = _words(image)
         like = jax.ShapeDtypeStruct(words.shape, words.dtype)
         denoised = jax.pure_callback(on_host, like, words, _words(sigma), vmap_method="sequential")
@@ -60,16 +64,18 @@ class NumpyDenoiser(eqx.Module):
 
 
 def check_denoiser(denoiser: Denoiser, shape: tuple[int, int]) -> None:
-    """Tries a denoiser before a solve: a function of NumPy on a grey picture, one in JAX on shapes alone.
+    """Tries a denoiser before a solve, on shapes alone but for a `NumpyDenoiser`, which tries its function.
 
     **Raises:** `InputError` if it cannot be called, raises an error, or gives no picture of this shape.
     """
     image, sigma = jax.ShapeDtypeStruct(shape, np.float32), jax.ShapeDtypeStruct((), np.float32)
+    _try(lambda: jax.eval_shape(functools.partial(denoised, denoiser), image, sigma), shape)
+
+
+def _try(call: Callable[[], object], shape: tuple[int, ...]) -> None:
+    """Calls a denoiser. **Raises:** `InputError` for any error, on a picture of this shape."""
     try:
-        if isinstance(denoiser, NumpyDenoiser):
-            denoiser.on_numpy(np.full(shape, 0.5, np.float32), 0.1)
-        else:
-            jax.eval_shape(functools.partial(denoised, denoiser), image, sigma)
+        call()
     except InputError:
         raise
     except Exception as error:  # whatever a function of the user raises

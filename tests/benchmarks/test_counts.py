@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 import jax
+import pytest
 
 from benchmarks import counts
 
@@ -29,6 +30,7 @@ COUNTED = ("operations a pixel", "bytes a pixel", "bytes held a pixel", "fusions
 MARGIN = 0.1 if jax.__version__ == RECORDED["jax"] else 0.25
 
 
+@pytest.mark.slow  # 29 core seconds of compiling with all optimisations, for speed alone
 def test_programs_move_and_calculate_no_more():
     """Each program has no more operations, bytes and fusions than counts.json records, compiled with XLA's defaults.
 

@@ -58,6 +58,7 @@ def written(tmp_path):
     return run
 
 
+@pytest.mark.slow  # 41 core seconds; test_calculations.py has what it calculates, and the two below write a page
 def test_bench_smallest_case_writes_page(written):
     text = written(bench.BENCHMARK, *bench.measured(TINY, tuple(bench.FAMILIES), 0, NoProgress()))
     for head in ("### Solvers", "### Whole", "### How it grows", "### How far"):
@@ -107,6 +108,7 @@ def test_skipping_smallest_case_makes_row(recording):
     assert row.startswith("| pan ×2 | ") and row.count("|") == 8
 
 
+@pytest.mark.slow  # it measures with the functions of skipping
 def test_sequences_smallest_case_makes_table(recording):
     table = sequences.table(recording, range(45, 55, 5), 2, rounds=1)
     assert all(f"| {way} | " in table for way in ("sequence", "from scratch", "in full"))

@@ -1,5 +1,6 @@
 """Which axis is time: found by content, or asked for; never chosen on the quiet."""
 
+import functools
 import warnings
 from typing import Any
 
@@ -31,13 +32,16 @@ def _picture(kind: str, height: int, width: int) -> np.ndarray:
     }[kind]
 
 
+@functools.cache
 def _spikes(
     shape: tuple[int, int, int], kind: str = "smooth", velocity: Any = None, sensor: Sensor | None = None
 ) -> np.ndarray:
     frames, height, width = shape
     picture = _picture(kind, height, width)
     scene = Static(picture) if velocity is None else Translation(picture, velocity)
-    return simulate(scene, scale=1, frames=frames, sensor=sensor or Sensor()).spikes
+    spikes = simulate(scene, scale=1, frames=frames, sensor=sensor or Sensor()).spikes
+    spikes.flags.writeable = False
+    return spikes
 
 
 def _noise(shape: tuple[int, int, int]) -> np.ndarray:

@@ -1,5 +1,6 @@
 """`scsr` itself: help, wrong arguments, errors."""
 
+import os
 import re
 import subprocess
 import sys
@@ -47,6 +48,24 @@ def test_entry_point_is_installed(here):
     )
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("scsr: error: There is no file") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "message"),
+    [
+        ("JAX_ENABLE_X64", "abc", "JAX refuses the environment's JAX_ENABLE_X64=abc: correct or unset it."),
+        ("JAX_LOGGING_LEVEL", "abc", "JAX refuses the environment's JAX_LOGGING_LEVEL=abc: correct or unset it."),
+        ("JAX_DEFAULT_DEVICE", "abc", "JAX refuses the environment's JAX_DEFAULT_DEVICE=abc: correct or unset it."),
+        ("JAX_DEFAULT_DEVICE", "gpu", "JAX finds no device of the kind that JAX_DEFAULT_DEVICE=gpu asks for: unset"),
+        ("JAX_PLATFORM_NAME", "cuda", "JAX finds no device of the kind that JAX_PLATFORM_NAME=cuda asks for: unset"),
+    ],
+)
+def test_variable_that_jax_refuses_is_said_in_one_sentence(here, file, variable, value, message):
+    program = f"import sys; from scsr_opt.cli import main; sys.exit(main(['baseline', {file!r}, '-o', 'a.png']))"
+    environment = {name: text for name, text in os.environ.items() if name != "JAX_PLATFORMS"} | {variable: value}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert done.returncode == 2 and done.stderr.startswith(f"scsr: error: {message}"), done.stderr
+    assert done.stderr.count("\n") == 1 and not Path("a.png").exists()
 
 
 @pytest.mark.parametrize(

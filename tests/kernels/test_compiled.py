@@ -120,7 +120,16 @@ PRIOR_CALLS: dict[str, Callable[[Prior, int], Any]] = {
 }
 
 
-@pytest.mark.parametrize("call", PRIOR_CALLS)
+# Each kind of program: dual steps, a closed form, filters, a prior in a prior, a function of the host. The others are
+# tried by `make test-slow`; their value and proximal step here, too.
+KINDS = ("huber", "bilateral total variation", "bounded by Dykstra's algorithm", "plug and play, non-local means")
+
+
+def slow_unless(name: str, quick: bool) -> Any:
+    return name if quick else pytest.param(name, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("call", [slow_unless(call, "several" not in call) for call in PRIOR_CALLS])
 @pytest.mark.parametrize("name", PRIORS)
 def test_prior_called_outside_jit_compiles_once(heard, name, call):
     compiles_once(heard, lambda n: PRIOR_CALLS[call](PRIORS[name](), n))
@@ -129,12 +138,15 @@ def test_prior_called_outside_jit_compiles_once(heard, name, call):
 DIFFERENTIABLE = [name for name in PRIORS if "means" not in name and "bilateral" != name[-9:]]
 
 
-@pytest.mark.parametrize("name", DIFFERENTIABLE)
+@pytest.mark.parametrize("name", [slow_unless(name, name in KINDS) for name in DIFFERENTIABLE])
 def test_gradient_of_a_prior_outside_jit_compiles_once(heard, name):
     compiles_once(heard, lambda n: jax.grad(PRIORS[name]().value)(PICTURE + n))
 
 
-@pytest.mark.parametrize("name", [name for name in DIFFERENTIABLE if "ridge" not in name and "Dykstra" not in name])
+@pytest.mark.parametrize(
+    "name",
+    [slow_unless(name, name in KINDS) for name in DIFFERENTIABLE if "ridge" not in name and "Dykstra" not in name],
+)
 def test_gradient_of_a_proximal_step_outside_jit_compiles_once(heard, name):
     """Backwards, too. The number of steps of the ridge regulariser is known at run time only, which JAX refuses."""
     prior = PRIORS[name]()
@@ -254,7 +266,9 @@ SOLVERS: dict[str, Callable[[], Solver]] = {
 
 
 @pytest.mark.filterwarnings("ignore:JAXopt is no longer maintained:DeprecationWarning")
-@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(
+    "name", [slow_unless(name, name in ("fista", "fista, power iteration", "admm", "l-bfgs")) for name in SOLVERS]
+)
 def test_solver_outside_jit_compiles_once(heard, placed, name):
     term = accumulate(placed)
 

@@ -111,11 +111,9 @@ def grandchild():
     return in_process("fork", denoised, (5, 6))
 
 def started(how):
-    import jax, jax.numpy as jnp
+    import jax
     if how == "devices":
         jax.devices()
-    elif how == "an array":
-        jnp.ones(3)
     else:
         denoised((6, 7))
 """
@@ -137,18 +135,20 @@ DOORS = [
 def test_every_door_refuses_in_a_process_forked_after_a_solve(tmp_path):
     said = output(
         tmp_path,
+        "from learned import zoo\nfrom scsr_opt import baselines, calibration, estimate_motion, reconstruct\n"
         f"started('a solve')\nfor door in ({', '.join(DOORS)}, lambda: denoised((5, 6))):\n    "
-        "print(in_process('fork', door))\nprint(denoised((6, 8)))",
+        "print(in_process('fork', door))\nprint(denoised((6, 8)))\nprint(in_process('fork', played))",
     )
-    *refused, here = said.splitlines()
+    *refused, here, numpy_part = said.splitlines()
     assert len(refused) == len(DOORS) + 1
     assert all("was forked from one in which JAX had been started" in line and '"spawn"' in line for line in refused)
     assert here == "48.0"  # the parent goes on
+    assert numpy_part == "(16, 18)"  # what does without JAX works
 
 
-@pytest.mark.parametrize("how", ["devices", "an array"])
-def test_process_forked_after_any_use_of_jax_is_refused(tmp_path, how):
-    said = output(tmp_path, f"import scsr_opt\nstarted({how!r})\nprint(in_process('fork', denoised, (5, 6)))")
+def test_process_forked_after_a_look_at_the_devices_is_refused(tmp_path):
+    """The least that starts JAX."""
+    said = output(tmp_path, "import scsr_opt\nstarted('devices')\nprint(in_process('fork', denoised, (5, 6)))")
     assert '"spawn"' in said
 
 
@@ -157,10 +157,6 @@ def test_process_forked_before_jax_is_used_works(tmp_path):
     assert output(tmp_path, code).split() == ["30.0", "30.0"]
 
 
-def test_numpy_parts_work_in_a_forked_process(tmp_path):
-    assert output(tmp_path, "started('a solve')\nprint(in_process('fork', played))").strip() == "(16, 18)"
-
-
-@pytest.mark.parametrize("method", ["spawn", "forkserver"])
+@pytest.mark.parametrize("method", ["spawn", pytest.param("forkserver", marks=pytest.mark.slow)])
 def test_fresh_process_works_after_a_solve(tmp_path, method):
     assert output(tmp_path, f"started('a solve')\nprint(in_process({method!r}, denoised, (5, 6)))").strip() == "30.0"

@@ -1,6 +1,7 @@
 """Programs that are kept on disk: found again by the next process, bounded, and harmless where they are damaged."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -39,6 +40,26 @@ def run(home: Path, **environment: str) -> tuple[str, int, str]:
     return value, int(hits), folder
 
 
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory) -> tuple[Path, str, Path]:
+    """(home, value, folder) of a process that found nothing, and a copy of the folder beside the home."""
+    home = tmp_path_factory.mktemp("home")
+    value, hits, folder = run(home)
+    assert (hits, Path(folder).parent) == (0, home / "scsr-opt")
+    assert Path(folder).stat().st_mode & 0o077 == 0  # who may write there may run code
+    shutil.copytree(folder, home / "copy")
+    return home, value, Path(folder)
+
+
+@pytest.fixture
+def compiled(compiled_once) -> tuple[Path, str, Path]:
+    """(home, value, folder) as that process left them; programs are found again in their own place only."""
+    home, value, folder = compiled_once
+    shutil.rmtree(folder)
+    shutil.copytree(home / "copy", folder)
+    return home, value, folder
+
+
 @pytest.fixture
 def entries(tmp_path, monkeypatch):
     """Makes entries of 1,000 bytes, by name and age in seconds."""
@@ -60,30 +81,28 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name.removesuffix("-cache") for path in folder.glob("*-cache"))
 
 
-def test_second_process_reads_what_the_first_compiled(tmp_path):
-    value, hits, folder = run(tmp_path)
-    assert (hits, Path(folder).parent) == (0, tmp_path / "scsr-opt")
-    assert Path(folder).stat().st_mode & 0o077 == 0  # who may write there may run code
-    again, hits, _ = run(tmp_path)
+def test_second_process_reads_what_the_first_compiled(compiled):
+    home, value, _ = compiled
+    again, hits, _ = run(home)
     assert again == value
     assert hits >= 1
 
 
-def test_truncated_entries_are_compiled_anew_and_replaced(tmp_path):
-    value, _, folder = run(tmp_path)
-    for path in Path(folder).glob("*-cache"):
+def test_truncated_entries_are_compiled_anew_and_replaced(compiled):
+    home, value, folder = compiled
+    for path in folder.glob("*-cache"):
         path.write_bytes(path.read_bytes()[:-20])
         os.utime(path, (time.time() - 3600, time.time() - 3600))
-    os.remove(Path(folder) / ".checked")
-    assert run(tmp_path)[:2] == (value, 0)
-    assert run(tmp_path)[1] >= 1
+    os.remove(folder / ".checked")
+    assert run(home)[:2] == (value, 0)
+    assert run(home)[1] >= 1
 
 
-def test_truncated_entries_that_are_too_young_to_judge_do_no_harm(tmp_path):
-    value, _, folder = run(tmp_path)
-    for path in Path(folder).glob("*-cache"):
+def test_truncated_entries_that_are_too_young_to_judge_do_no_harm(compiled):
+    home, value, folder = compiled
+    for path in folder.glob("*-cache"):
         path.write_bytes(path.read_bytes()[:-20])
-    assert run(tmp_path)[:2] == (value, 0)
+    assert run(home)[:2] == (value, 0)
 
 
 def test_folder_that_cannot_be_made_keeps_nothing(tmp_path):

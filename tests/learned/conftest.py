@@ -4,6 +4,17 @@ import equinox as eqx
 import jax
 import optax
 import pytest
+from skimage import data
+
+from scsr_opt.camera import Recording, Sensor, simulate
+from scsr_opt.camera.scenes import Static
+
+
+@pytest.fixture(scope="session")
+def recording() -> Recording:
+    """A scene at rest: exposures need no correction, so that f is one quadratic."""
+    made = simulate(Static(data.camera()[90:130, 150:198]), scale=2, frames=41, sensor=Sensor(photons=1000.0), seed=3)
+    return Recording.from_array(made.spikes)
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skimage import data
 
 from learned.evaluation import compare
 from learned.evaluation.compare import compare_stages
@@ -20,20 +19,11 @@ from learned.evaluation.stage_report import Comparison, shown_stages
 from learned.networks.unrolled_ista import UnrolledConfig, UnrolledISTA
 from learned.training import checkpoint
 from learned.zoo import Optimizer
-from scsr_opt import InputError, Recording, Status
-from scsr_opt.camera import Sensor, simulate
-from scsr_opt.camera.scenes import Static
+from scsr_opt import InputError, Status
 from scsr_opt.solvers import ISTA
 
 UNROLLED = {"stages": 2, "boundaries": (10,), "proximal": False}
 STRENGTH = 0.002
-
-
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    """A scene at rest: exposures need no correction, so that f is one quadratic."""
-    made = simulate(Static(data.camera()[90:130, 150:198]), scale=2, frames=41, sensor=Sensor(photons=1000.0), seed=3)
-    return Recording.from_array(made.spikes)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skimage import data
 
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.reference_problem import reference_problem, reference_task
@@ -16,9 +15,7 @@ from learned.training import checkpoint
 from learned.training.data import Example
 from learned.training.registry import trainable
 from learned.zoo import CentredOptimizer, model
-from scsr_opt import InputError, Recording, Status
-from scsr_opt.camera import Sensor, simulate
-from scsr_opt.camera.scenes import Static
+from scsr_opt import InputError, Status
 
 SIZES = {"channels": 3, "blocks": 1}
 
@@ -32,12 +29,6 @@ def saved(path, network: RestorationNet):
     card = checkpoint.Card("restoration", {"scale": 2, "network": SIZES}, "none", 1, "none", {"psnr": 1.0})
     checkpoint.save(path, network, card)
     return str(path)
-
-
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    made = simulate(Static(data.camera()[90:130, 150:198]), scale=2, frames=41, sensor=Sensor(photons=1000.0), seed=3)
-    return Recording.from_array(made.spikes)
 
 
 @pytest.fixture

@@ -145,7 +145,11 @@ def test_shared_stages_are_equal_stages(spikes: jax.Array):
     np.testing.assert_allclose(run(repeated, spikes).images, run(shared, spikes).images, atol=1e-5)
 
 
-@pytest.mark.parametrize("part", ["pase", "gradient", "alignment", "proximal"])
+@pytest.mark.parametrize(
+    "part",
+    ["pase", pytest.param("gradient", marks=pytest.mark.slow), pytest.param("alignment", marks=pytest.mark.slow),
+     "proximal"],
+)  # fmt: skip
 def test_each_part_can_be_left_out(part: str, spikes: jax.Array):
     config = dataclasses.replace(TINY, stages=1, working_scale=1)
     without = dataclasses.replace(config, **{part: False})

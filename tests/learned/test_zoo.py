@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skimage import data
 
 import learned
 from learned import load_model, zoo
@@ -24,8 +23,6 @@ from learned.networks.velocity import VelocityNet
 from learned.training import checkpoint
 from learned.zoo import Network, Optimizer, model, names
 from scsr_opt import InputError, Recording, Status, reconstruct
-from scsr_opt.camera import Sensor, simulate
-from scsr_opt.camera.scenes import Static
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.pipeline import task
 from scsr_opt.solvers import FISTA
@@ -40,13 +37,6 @@ PASE = {
     **UNROLLED, "moments": 3, "length": 5, "spacing": 12, "branches": (1,), "encoder_channels": 2, "encoder_blocks": 0,
 }  # fmt: skip
 RESTORATION = {"channels": 2, "blocks": 0}
-
-
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    """A scene at rest: exposures need no correction, so that f is one quadratic."""
-    made = simulate(Static(data.camera()[90:130, 150:198]), scale=2, frames=41, sensor=Sensor(photons=1000.0), seed=3)
-    return Recording.from_array(made.spikes)
 
 
 @pytest.fixture(scope="module")

@@ -165,7 +165,7 @@ def test_confidence_is_lower_where_there_is_no_texture(estimator):
 
 
 @pytest.mark.parametrize("estimator", EVERY, ids=name)
-@pytest.mark.parametrize("shape", [(40, 1, 1), (40, 3, 5), (40, 1, 40)])
+@pytest.mark.parametrize("shape", [(40, 1, 1), (40, 3, 5), pytest.param((40, 1, 40), marks=pytest.mark.slow)])
 def test_tiny_pictures(estimator, shape):
     spikes = np.random.default_rng(0).random(shape) < 0.3
     motion = estimate_motion(spikes, key=20, estimator=estimator)
@@ -181,7 +181,7 @@ def test_short_recordings(estimator, frames):
         assert np.isfinite(estimate_motion(spikes, key=key, estimator=estimator).velocity).all()
 
 
-@pytest.mark.parametrize("frames", [1, 3, 8])
+@pytest.mark.parametrize("frames", [1, pytest.param(3, marks=pytest.mark.slow), 8])
 def test_short_recordings_with_defaults(frames):
     spikes = np.random.default_rng(0).random((frames, 16, 18)) < 0.3
     assert np.isfinite(estimate_motion(spikes, key=frames - 1).velocity).all()

@@ -363,9 +363,9 @@ def test_sums_are_differentiated_by_values():
 
 def test_samples_with_several_numbers_of_positions_are_those_of_each_number_together():
     samples, path = some_samples(exposure=5), wandering(0.4)
-    number = np.random.default_rng(5).choice([1, 2, 3, 5], 60)
+    number = np.random.default_rng(5).permutation(np.repeat([1, 3, 5], 20))  # of each as many, for few shapes
     together = placed_samples(samples, path, positions=5, each=number)
-    apart = {k: placed_samples(subset(samples, number == k), path, positions=int(k)) for k in (1, 2, 3, 5)}
+    apart = {k: placed_samples(subset(samples, number == k), path, positions=int(k)) for k in (1, 3, 5)}
     u, values = jnp.asarray(random(together.shape)), jnp.asarray(random((60,), 1))
     terms = {k: accumulate(placed) for k, placed in apart.items()}
     for k, placed in apart.items():

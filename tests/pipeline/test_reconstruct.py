@@ -25,7 +25,8 @@ def moving(scale: int, frames: int = 61):
     return simulate(scene, scale=scale, frames=frames, sensor=Sensor(photons=1000.0), seed=3)
 
 
-@pytest.mark.parametrize("scale", [1, 3, 8])
+# Scale 2 is that of most tests here, and scale 1 that of the recording's settings, below.
+@pytest.mark.parametrize("scale", [pytest.param(1, marks=pytest.mark.slow), 3, pytest.param(8, marks=pytest.mark.slow)])
 def test_every_scale_beats_enlarged_playback(scale):
     made = moving(scale)
     solution = reconstruct(made.spikes, scale=scale)
@@ -123,7 +124,9 @@ def test_stages_are_numbered_through_and_carry_pictures_when_asked():
     assert solution.status is Status.iterations_exhausted
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (40, 1, 30), (101, 1, 1), (2, 4, 4)])
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1), (40, 1, 30), pytest.param((101, 1, 1), marks=pytest.mark.slow), (2, 4, 4)]
+)
 @pytest.mark.parametrize("value", [0, 1])
 def test_blank_and_tiny_recordings(shape, value):
     """No spike: nothing is known. A spike in every frame: light of 1/white_rate at least."""

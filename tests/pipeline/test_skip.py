@@ -72,7 +72,7 @@ SCENES = {
 
 RESTING = "flicker", "lamp at 100 Hz", "hot pixel"
 # Tried by `make test-slow`: another of the same kind is left in `make test`.
-LONGER = "object smaller than a tile", "flicker", "slow drift"
+LONGER = "faint object", "object smaller than a tile", "flicker", "slow drift", "hot pixel"
 
 
 def all_of(name: str) -> tuple[Clip, np.ndarray, Solution, list[Solution]]:
@@ -168,6 +168,7 @@ def test_shortcuts_finished_tiles_beside_a_small_object_are_left_alone():
     assert np.abs(change).max() < 1 / 255
 
 
+@pytest.mark.slow  # tests/solvers/test_tiles.py has pictures of few tiles
 def test_shortcuts_picture_of_few_tiles_is_iterated_as_a_whole():
     """They would all be finished once the whole picture is near its tolerance."""
     made = simulate(Translation(WALL, velocity=(0.5, 0.8)), scale=4, frames=FRAMES, sensor=Sensor(), seed=5)

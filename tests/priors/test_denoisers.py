@@ -142,6 +142,8 @@ def test_called_back_from_a_loop_and_for_several_pictures(oracle):
     def three(image):
         return jax.lax.fori_loop(0, 3, lambda _, x: prior.prox(x, jnp.float32(0.1), None)[0], image)
 
+    three(f).block_until_ready()  # compiles, and tries the function once
+    shapes.clear()
     np.testing.assert_allclose(three(f), f / 8, rtol=1e-6)
     assert shapes == [SHAPE] * 3
     both = jax.jit(jax.vmap(lambda x: prior.prox(x, jnp.float32(0.1), None)[0]))(jnp.stack([f, 2 * f]))
@@ -274,7 +276,39 @@ def test_check_refuses_a_denoiser_that_gives_no_picture(denoiser, message, wrap,
         wrap(hold(denoiser)).check((4, 5))
 
 
-@pytest.mark.parametrize("denoiser", [nl_means(), bilateral(), tv_chambolle(5), smooth, Scaled(jnp.float32(0.5))])
+class Sharper(eqx.Module):
+    """A denoiser within a denoiser."""
+
+    inner: Any
+
+    def __call__(self, image, sigma):
+        return 2 * image - self.inner(image, sigma)
+
+
+@pytest.mark.parametrize(
+    "nest",
+    [
+        Sharper,
+        lambda d: Sharper(Sharper(d)),
+        lambda d: lambda image, sigma: d(image, 2 * sigma),
+        lambda d: lambda image, sigma: d(image[::2], sigma),
+        lambda d: eqx.filter_jit(Sharper(d)),
+    ],
+    ids=["module", "twice", "closure", "other_shape", "jitted"],
+)
+@pytest.mark.parametrize("wrap", [PlugAndPlay, RED, lambda d: Bounded(PlugAndPlay(d))], ids=["pnp", "red", "bounded"])
+@pytest.mark.parametrize(
+    ("denoiser", "message"), [(WRONG[n][0], WRONG[n][1].split(" for a picture")[0]) for n in (4, 9)]
+)
+def test_check_refuses_a_nested_numpy_denoiser_that_gives_no_picture(denoiser, message, wrap, nest):
+    message = message.replace(r"\(4, 5\)", r"\(\d, 5\)")
+    with pytest.raises(InputError, match=message):
+        wrap(nest(NumpyDenoiser(denoiser))).check((4, 5))
+
+
+@pytest.mark.parametrize(
+    "denoiser", [nl_means(), bilateral(), tv_chambolle(5), smooth, Scaled(jnp.float32(0.5)), Sharper(nl_means())]
+)
 @pytest.mark.parametrize("shape", [(4, 5), (1, 1), (1, 7), (33, 2)])
 def test_check_accepts_a_denoiser(denoiser, shape):
     for prior in (PlugAndPlay(denoiser), RED(denoiser), Bounded(PlugAndPlay(denoiser)), TotalVariation()):

@@ -185,6 +185,14 @@ def test_corrections_are_asked_for_by_the_tolerance(problem, start):
         assert asked and all(t == pytest.approx(tolerance) for t in asked)
 
 
+def test_picture_of_few_tiles_is_iterated_as_a_whole(problem, start):
+    """They would all be finished once the whole picture is near its tolerance."""
+    few = TileSettings(side_px=80)
+    found, whole = (run_tiles(FISTA(), problem, start, finished_tiles=skip, settings=few) for skip in (True, False))
+    assert found.tiles is not None and not found.tiles.tile_iterations.any()
+    assert [stage.objective for stage in found.stages] == [stage.objective for stage in whole.stages]
+
+
 def test_the_limit_of_iterations_holds_for_each_tile(problem, start):
     found = run_tiles(FISTA(iterations=12, tolerance=1e-5), problem, start)
     assert found.status is Status.iterations_exhausted and found.tiles is not None

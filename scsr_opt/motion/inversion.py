@@ -48,7 +48,10 @@ def inverse(
         return on_device(_affine_inverses(numbers, np.asarray(after), velocity.shape[1:], every))
     # Interpolation takes most of the time, and a field of zeros needs none.
     curved = acceleration if np.any(acceleration) else None
-    return _inverses(velocity, curved, after, every, settings)
+    fields = on_device(velocity), None if curved is None else on_device(curved)
+    # Moment by moment: one program serves any number of them.
+    found = [_iterated_inverse(*fields, tau, every, settings) for tau in np.asarray(after)]
+    return on_device(np.stack([np.asarray(position) for position in found]))
 
 
 def affine_numbers(
@@ -107,17 +110,6 @@ def _affine_inverse(
     return (d * below - b * beside) / determinant, (a * beside - c * below) / determinant
 
 
-@partial(jax.jit, static_argnames=("every", "settings"))
-def _inverses(
-    velocity: Float[Array, "2 h w"],
-    acceleration: Float[Array, "2 h w"] | None,
-    after: Float[Array, " n"],
-    every: int,
-    settings: TrajectorySettings,
-) -> Float[Array, "n 2 rows columns"]:
-    return jax.lax.map(lambda tau: _iterated_inverse(velocity, acceleration, tau, every, settings), after)
-
-
 def inverse_at(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,
@@ -137,6 +129,7 @@ def inverse_at(
     return jax.lax.cond(affine, solved, lambda: _iterated_inverse(velocity, acceleration, tau, every, settings))
 
 
+@partial(jax.jit, static_argnames=("every", "settings"))
 def _iterated_inverse(
     velocity: Float[Array, "2 h w"],
     acceleration: Float[Array, "2 h w"] | None,

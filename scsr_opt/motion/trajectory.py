@@ -393,44 +393,45 @@ def key_frame_positions(
     tolerance = settings.inverse_tolerance_px
     affine = [affine_numbers(v, a, longest, tolerance) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
-    curved = acceleration if acceleration.any() else None
-    return _layered_positions(velocity, curved, plain, numbers, member, after, every, settings)
+    curved = on_device(acceleration) if acceleration.any() else None
+    given = on_device(velocity), curved, plain, numbers, on_device(member)
+    # Moment by moment, so that pictures stay in the cache, and one program serves any number of moments.
+    found = [_layered_position(*given, tau, every, settings) for tau in np.asarray(after)]
+    position, visible = (on_device(np.stack([np.asarray(one) for one in of])) for of in zip(*found, strict=True))
+    return position, visible
 
 
 @partial(jax.jit, static_argnames=("every", "settings"))
-def _layered_positions(
+def _layered_position(
     velocity: Float[Array, "layers 2 h w"],
     acceleration: Float[Array, "layers 2 h w"] | None,
     affine: Bool[Array, " layers"],
     numbers: Float[Array, "layers 2 2 3"],
     member: Float[Array, "layers h w"],
-    after: Float[Array, " n"],
+    tau: Float[Array, ""],
     every: int,
     settings: TrajectorySettings,
-) -> tuple[Float[Array, "n 2 rows columns"], Float[Array, "n rows columns"]]:
-    """`key_frame_positions` of layers, the nearest first; moment by moment, so that pictures stay in the cache."""
+) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
+    """`key_frame_positions` of layers, the nearest first, `tau` frames from the key frame."""
     partial_share, whole_share = settings.partial_share, settings.whole_share
     nowhere = jnp.zeros_like(velocity[0, :, ::every, ::every])
 
-    def one(tau: Float[Array, ""]) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
-        def place(k: Array) -> Array:
-            faster = None if acceleration is None else acceleration[k]
-            return inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every, settings)
+    def place(k: Array) -> Array:
+        faster = None if acceleration is None else acceleration[k]
+        return inverse_at(velocity[k], faster, affine[k], numbers[k], tau, every, settings)
 
-        def look(k: Array, here: Array) -> tuple[Array, Array]:
-            return here, bilinear(member[k][None], here[0], here[1])[0]
+    def look(k: Array, here: Array) -> tuple[Array, Array]:
+        return here, bilinear(member[k][None], here[0], here[1])[0]
 
-        def nearer(_: Array, found: tuple[Array, Array], so_far: tuple[Array, Array]) -> tuple[Array, Array]:
-            (here, belongs), (position, part) = found, so_far
-            # Where the point belongs to no layer, it is that of the layer with the largest share.
-            better = (part <= partial_share) & (belongs > part)
-            return jnp.where(better[None], here, position), jnp.where(better, belongs, part)
+    def nearer(_: Array, found: tuple[Array, Array], so_far: tuple[Array, Array]) -> tuple[Array, Array]:
+        (here, belongs), (position, part) = found, so_far
+        # Where the point belongs to no layer, it is that of the layer with the largest share.
+        better = (part <= partial_share) & (belongs > part)
+        return jnp.where(better[None], here, position), jnp.where(better, belongs, part)
 
-        nobody = nowhere, jnp.full_like(nowhere[0], -1)
-        position, part = in_turn(place, look, nearer, nobody, 0, len(velocity))
-        return position, jnp.clip((part - partial_share) / (whole_share - partial_share), 0, 1)
-
-    return jax.lax.map(one, after)
+    nobody = nowhere, jnp.full_like(nowhere[0], -1)
+    position, part = in_turn(place, look, nearer, nobody, 0, len(velocity))
+    return position, jnp.clip((part - partial_share) / (whole_share - partial_share), 0, 1)
 
 
 def _times_trust(

@@ -5,7 +5,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from scsr_opt.motion import Motion, trajectory_of
-from scsr_opt.motion.inversion import _inverses, inverse
+from scsr_opt.motion.inversion import _iterated_inverse, inverse
 from scsr_opt.motion.settings import DEFAULTS
 from scsr_opt.motion.trajectory import Layers, key_frame_positions
 
@@ -46,9 +46,9 @@ def test_a_key_frame_point_moved_on_comes_to_lie_on_its_pixel(smooth, time):
     assert np.abs(arrived - [ROWS, COLUMNS])[:, still_inside(position)].max() < 1e-3
 
 
-# Arguments of `_inverses` for a motion that is not affine.
-ITERATED = jnp.asarray(False), jnp.zeros((2, 2, 3))
-PLAIN = 1, DEFAULTS.trajectory  # every row and column
+def by_iteration(velocity, acceleration, after) -> np.ndarray:
+    """The inverse of every row and column, whether the motion is affine or not."""
+    return np.stack([_iterated_inverse(velocity, acceleration, tau, 1, DEFAULTS.trajectory) for tau in after])
 
 
 def test_an_affine_motion_is_found_at_once_as_by_iteration():
@@ -59,7 +59,7 @@ def test_an_affine_motion_is_found_at_once_as_by_iteration():
     acceleration = (1e-5 * away[::-1]).astype(np.float32)
     after = jnp.asarray([-40.0, -3.0, 0.0, 25.0, 48.0])
     found = np.asarray(inverse(velocity, acceleration, after))
-    slowly = np.asarray(_inverses(jnp.asarray(velocity), jnp.asarray(acceleration), *ITERATED, after, *PLAIN))
+    slowly = by_iteration(jnp.asarray(velocity), jnp.asarray(acceleration), after)
     # Eight iterations, each to a quarter of the error of the one before, from ten pixels: 2e-4.
     inner = np.stack([still_inside(one) for one in found])
     assert inner.mean() > 0.5
@@ -71,14 +71,14 @@ def test_what_moves_all_alike_is_found_at_once_as_by_iteration():
                               ((0.2, -0.13), (1e-3, 2e-3)))  # fmt: skip
     path = trajectory_of(Motion(velocity, acceleration, np.ones((H, W), np.float32)), key=KEY, start=0, stop=FRAMES)
     after = jnp.arange(path.position.shape[0], dtype=jnp.float32) * 4 - KEY
-    slowly = _inverses(jnp.asarray(velocity), jnp.asarray(acceleration), *ITERATED, after, *PLAIN)
+    slowly = by_iteration(jnp.asarray(velocity), jnp.asarray(acceleration), after)
     np.testing.assert_allclose(path.position, slowly, atol=1e-5)  # rounding of positions up to 100
     assert (np.asarray(path.visible) == 1).all()
 
 
 def test_without_an_acceleration_the_inverse_is_that_of_one_of_zero(smooth):
     velocity, after = jnp.asarray(smooth.velocity), jnp.asarray([-30.0, 7.0])
-    slowly = _inverses(velocity, jnp.zeros_like(velocity), *ITERATED, after, *PLAIN)
+    slowly = by_iteration(velocity, jnp.zeros_like(velocity), after)
     # Each ends within 1e-4 of the next iteration.
     np.testing.assert_allclose(inverse(velocity, jnp.zeros_like(velocity), after), slowly, atol=2e-4)
 

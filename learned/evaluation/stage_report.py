@@ -135,6 +135,7 @@ class Comparison:
                 f"{hybrid.network} from the converged solution:",
                 *_rows(hybrid.stages),
             ]
+        lines += ["", _LEGEND]
         return "\n".join(lines) + "\n"
 
     def json(self) -> str:
@@ -241,17 +242,32 @@ def shown_stages(count: int, most: int = 6) -> tuple[int, ...]:
 _COLUMNS = (
     ("stage", "number", "d", 1.0),
     ("objective", "objective", ".6g", 1.0),
+    ("own", "own_objective", ".6g", 1.0),
     ("data", "data", ".6g", 1.0),
-    ("residual", "residual", ".4f", 1.0),
+    ("misfit", "residual", ".4f", 1.0),
     ("distance", "distance", ".4f", 1.0),
-    ("step", "step", ".1e", 1.0),
-    ("cos R", "gradient_step_cosine", ".3f", 1.0),
-    ("cos X", "step_cosine", ".3f", 1.0),
+    ("change", "step", ".1e", 1.0),
+    ("downhill-R", "gradient_step_cosine", ".3f", 1.0),
+    ("downhill-X", "step_cosine", ".3f", 1.0),
     ("PSNR", "psnr", ".2f", 1.0),
     ("SSIM", "ssim", ".4f", 1.0),
     ("seconds", "seconds", ".3g", 1.0),
     ("GFLOP", "flops", ".3g", 1e9),
 )
+
+
+_LEGEND = """\
+Columns ("-": not known, or the model has none):
+  objective   what all models are compared by: Eq. 4, halved, with Huber-TV as the prior
+  own         what the model itself makes small: Eq. 4 with its own prior; a network has no such number
+  data        the part of the objective that the spikes contribute
+  misfit      by how much the picture misses a measurement, root mean square, intensity (1 = white)
+  distance    from the converged solution, relative to its norm
+  change      of the picture by this stage, relative to its norm
+  downhill-R  cosine between the gradient step (R) and the steepest descent of the data: 1 is straight down
+  downhill-X  the same of the whole stage (X), with the prior's or the network's step
+  PSNR, SSIM  against the truth, in dB and from 0 to 1, without 8 sensor pixels of border
+  seconds     since the first stage began, compiled; GFLOP: billions of operations until then"""
 
 
 def _counted(stages: Sequence[StageMeasures]) -> str:

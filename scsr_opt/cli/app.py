@@ -1,12 +1,13 @@
 """Entry point of `scsr`: commands, exit codes, and errors in one line.
 
 Exit codes: 0 done; 1 the solve failed and no picture was written; 2 something that was asked for cannot be done (wrong
-arguments, unreadable file, no place to write); 130 interrupted.
+arguments, unreadable file, no place to write); 130 interrupted; 143 terminated.
 """
 
 import functools
 import io
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -55,6 +56,14 @@ def _app() -> App:
     return app
 
 
+class _Terminated(BaseException):
+    """SIGTERM arrived; raised wherever the program is, so that files half written are removed."""
+
+
+def _terminate(*_: object) -> None:
+    raise _Terminated
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs `scsr` with `arguments` (those of the process if None) and returns its exit code.
 
@@ -64,6 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:  # a process of its own
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold bytes that are no text
+        signal.signal(signal.SIGTERM, _terminate)
     try:
         with _warnings_in_one_line():
             given = list(sys.argv[1:] if arguments is None else arguments)
@@ -72,6 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code if isinstance(code, int) else 0
     except KeyboardInterrupt:
         return _fail("interrupted.", 130)
+    except _Terminated:
+        return _fail("terminated.", 143)
     except BrokenPipeError:
         # Whoever read the output has seen enough. Python would complain once more when it closes the stream.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

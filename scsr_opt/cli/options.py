@@ -15,7 +15,7 @@ from cyclopts import Group, Parameter, Token
 from scsr_opt._files import check_writable
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.report.progress import RichProgress
+from scsr_opt.report.progress import LineProgress, RichProgress
 
 if TYPE_CHECKING:
     import scsr_opt.camera
@@ -161,8 +161,10 @@ def moments(
 
 
 def progress(quiet: bool) -> Progress:
-    """Bars on standard error where somebody is there to see them."""
-    return NoProgress() if quiet or not sys.stderr.isatty() else RichProgress()
+    """Bars on standard error in a terminal, a line every half a minute elsewhere."""
+    if quiet:
+        return NoProgress()
+    return RichProgress() if sys.stderr.isatty() else LineProgress()
 
 
 def check_outputs(inputs: list[Path], overwrite: bool, /, **outputs: Path | None) -> None:

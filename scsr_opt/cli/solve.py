@@ -128,7 +128,7 @@ def _explained(solution: Any) -> list[str]:
     parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.diagnostics.seconds.items())
     left = [_left(solution.status, stage.residual, solution.diagnostics.positions) for stage in solution.stages[-1:]]
     if solution.diagnostics.solver == "DataProximal":
-        left.insert(0, "Solver: data-proximal; no pixel's block overlaps another's, so steps along the data are exact.")
+        left.insert(0, "Solver: data-proximal, which is faster where nothing moves.")
     if solution.tiles is not None:
         left.extend(solution.tiles.lines())
     return [*solution.scene.lines(), *left, f"Time: {parts}."]
@@ -141,8 +141,8 @@ def _left(result: Any, residual: float, positions: int) -> str:
     if result is not Status.converged:
         return f"The last iteration of the whole picture changed it by {100 * residual:.1g} %."
     # A quadratic stands in for what exposures have seen move (`scsr_opt.pipeline.outer_loop`).
-    held = "measurements, exposures corrected as they were last," if positions > 1 else "measurements"
-    return f"One more iteration with these {held} would change the picture by {100 * residual:.1g} % at most."
+    held = ", motion blur held," if positions > 1 else ""
+    return f"One more iteration{held} would change the picture by {100 * residual:.1g} % at most."
 
 
 def _check_ending(option: str, path: Path | None, endings: tuple[str, ...]) -> None:

@@ -33,13 +33,13 @@ class TileKind(enum.IntEnum):
 
 
 # Where nothing moves, and why its measurements may not be merged all the same.
-_AT_REST = "nothing moves: no motion, and a pixel's intervals are merged into one"
-_APART = "nothing moves: no motion, but nothing is merged: it gains little here, or each measurement is to be judged"
+_AT_REST = "nothing moves: all spikes of a pixel make one measurement"
+_APART = "nothing moves: measurements are kept apart all the same, as merging saves little here or each is to be judged"
 _REASONS = {
     TileKind.STATIC: _AT_REST,
-    TileKind.UNIFORM: "nothing moves and no pixel differs from the others by more than noise: as at rest",
-    TileKind.MOVING: "moves or changes, or its spikes look like it: intervals are placed one by one, merged only while "
-    "it hardly moves, or in runs where it fires in every frame",
+    TileKind.UNIFORM: "nothing moves, and all pixels are equally bright: all spikes of a pixel make one measurement",
+    TileKind.MOVING: "something moves or changes: each interval between spikes is a measurement with a place of its "
+    "own; they are merged only for as long as it hardly moves",
     TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: all of them are used, and smoothed",
     TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     TileKind.SATURATED: f"fires in {100 * SATURATED_SHARE:g} % of the frames or more: runs of spikes are one "

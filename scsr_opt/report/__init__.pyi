@@ -8,13 +8,15 @@ from .charts import (
     zoomed_crops,
 )
 from .colours import colour_wheel, full_speed, motion_colours
+from .explore import explore
 from .figures import bicubic, compare, detailed_part, figure, scene_figure
 from .pictures import PictureFormat, check_film, quantise, read_picture, write_film, write_picture
-from .progress import RichProgress
+from .progress import LineProgress, RichProgress
 from .summary import Report, versions
 from .wipe import Wipe
 
 __all__ = [
+    "LineProgress",
     "PictureFormat",
     "Report",
     "RichProgress",
@@ -26,6 +28,7 @@ __all__ = [
     "convergence",
     "detailed_part",
     "error_map",
+    "explore",
     "figure",
     "full_speed",
     "motion_colours",

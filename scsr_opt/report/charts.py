@@ -273,7 +273,8 @@ def stage_grid(
 
     **Arguments:**
     - `solutions`: name → `Solution` or its stages, made with `keep_images=True`.
-    - `truth`: (H, W), where it is known; the captions are PSNR then, otherwise the objective.
+    - `truth`: (H, W), where it is known; the captions are PSNR then, without 8 sensor pixels of border (without any
+      where that is all), otherwise the objective.
     - `stages`: numbers t of the columns, as far as a method has them; its last stage follows.
     - `part`: (top, left, height, width) in pixels; where there is most detail if None.
     """
@@ -285,6 +286,8 @@ def stage_grid(
     top, left, tall, wide = detailed_part(judged, scale=scale) if part is None else part
     across = len(stages) + 1 + (truth is not None)
     white = _white_level([judged])
+    border = 8 * scale if min(judged.shape) > 16 * scale else 0
+    inner = np.s_[border : judged.shape[0] - border, border : judged.shape[1] - border]
     with matplotlib.rc_context(_STYLE):
         size = (_TILE * across * 0.85 + 0.3, len(rows) * (_TILE * 0.85 * tall / wide + 0.28))
         drawn, grid = _page(size, title, rows=len(rows), columns=across)
@@ -298,7 +301,7 @@ def stage_grid(
                 image = np.asarray(stage.image)
                 _picture(axes, image[top : top + tall, left : left + wide], white)
                 axes.set_aspect("equal")
-                error = float(np.mean(np.square(image - judged, dtype=np.float64)))
+                error = float(np.mean(np.square((image - judged)[inner], dtype=np.float64)))
                 says = f"{stage.objective:.4g}" if truth is None else f"{-10 * math.log10(max(error, 1e-12)):.1f} dB"
                 axes.set_title(f"{name}, t = {stage.number}: {says}", loc="left", fontsize=7.5)
             if truth is not None:

@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -107,6 +108,26 @@ def test_interrupting_says_so(scsr, monkeypatch, file):
 
     monkeypatch.setattr("scsr_opt.camera.read_recording", interrupt)
     assert "interrupted." in scsr("info", file, code=130)
+
+
+def test_terminating_ends_cleanly(here):
+    """SIGTERM in the middle of the work: one line, exit code 143, and no file half written."""
+    write = "import time; from scsr_opt._files import whole_file\nwith whole_file('a.png') as t: t.touch(); {}"
+    work = write.format("print('begun', flush=True); time.sleep(60)").replace("\n", "\n    ")
+    code = f"""
+import sys, scsr_opt.cli.app as app, scsr_opt.camera
+def read(*_, **__):
+    {work}
+scsr_opt.camera.read_recording = read
+sys.argv = ["scsr", "info", "x.npz"]
+sys.exit(app.main())
+"""
+    running = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert running.stdout is not None and running.stdout.readline() == "begun\n"
+    running.send_signal(signal.SIGTERM)
+    _, said = running.communicate(timeout=30)
+    assert running.returncode == 143 and said == "scsr: error: terminated.\n"
+    assert not list(here.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -63,8 +63,8 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
-    assert "Solver: data-proximal; no pixel's block overlaps another's" in said and "Time: motion 0.50 s." in said
-    assert "One more iteration with these measurements would change the picture by 0.02 % at most." in said
+    assert "Solver: data-proximal, which is faster where nothing moves." in said and "Time: motion 0.50 s." in said
+    assert "One more iteration would change the picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
         assert figure.width > figure.height
 
@@ -80,7 +80,7 @@ def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
     given = ("--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png", "--report", "a.json")
     said = scsr("solve", file, *given)
     assert "Iterations: 7 of the whole picture; 1 of its 2 tiles had up to 12 more, the others were finished." in said
-    assert "exposures corrected as they were last, would change the picture by 0.005 % at most." in said
+    assert "One more iteration, motion blur held, would change the picture by 0.005 % at most." in said
     assert "One more iteration would change no tile by more than 0.08 % of the picture's level (limit: 0.1 %)." in said
     told = json.loads(Path("a.json").read_text())
     assert told["tiles"] == {

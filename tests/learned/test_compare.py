@@ -161,8 +161,13 @@ def test_the_table_has_a_block_for_each_model(compared):
     assert f"fista-huber from {compared.models[1].name}: {compared.hybrids[0].iterations} iterations" in table
     lines = table.splitlines()
     head = lines.index(next(line for line in lines if "PSNR" in line))
-    assert lines[head + 1].split()[0] == "1" and len(lines[head].split()) - 2 == len(lines[head + 1].split())
+    assert lines[head + 1].split()[0] == "1" and len(lines[head].split()) == len(lines[head + 1].split())
     assert len(lines[head]) == len(lines[head + 1])  # right-aligned columns
+    legend = "\n".join(lines[lines.index('Columns ("-": not known, or the model has none):') :])
+    assert all(column in legend for column in lines[head].replace("stage ", "").split())
+    own = lines[head].split().index("own")
+    network = lines.index(next(line for line in lines if line.startswith(f"{compared.models[1].name}:")))
+    assert lines[network + 2].split()[own] == "-"  # a network makes no objective small
 
 
 def test_the_figure_has_a_row_a_model(compared):

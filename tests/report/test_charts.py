@@ -1,6 +1,9 @@
 """Charts show what they are given: their data are read back from the artists, not compared with pictures."""
 
 import dataclasses
+import io
+import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ from scsr_opt.report import (
     Wipe,
     convergence,
     error_map,
+    explore,
     spike_raster,
     stage_grid,
     time_against_error,
@@ -146,3 +150,48 @@ def test_wipe_goes_from_one_picture_to_the_other(tmp_path):
 def test_wipe_of_two_sizes_is_refused():
     with pytest.raises(InputError, match="one size"):
         Wipe(np.zeros((4, 4)), np.zeros((4, 5)))
+
+
+def test_explore_shows_each_value_with_the_others_in_the_middle():
+    """Also without ipywidgets, which is not installed for the tests."""
+    asked = []
+
+    def picture(strength, key):
+        asked.append((strength, key))
+        return np.full((8, 12), strength * key, np.float32)
+
+    drawn = explore(picture, strength=[0.1, 0.2, 0.4], key=[1, 2], title="Choices")
+    drawn_once(drawn)
+    assert asked[:5] == [(0.1, 2), (0.2, 2), (0.4, 2), (0.2, 1), (0.2, 2)]
+    titles = [axes.get_title(loc="left") for axes in drawn.axes]
+    assert titles == ["strength = 0.1", "strength = 0.2", "strength = 0.4", "key = 1", "key = 2", ""]
+    with pytest.raises(InputError, match="no value"):
+        explore(picture, strength=[])
+
+
+def test_explore_sliders_make_the_picture_anew(monkeypatch):
+    """With a stand-in for ipywidgets: one slider a parameter, and a picture for what they say."""
+    sliders, shown = {}, []
+
+    class Slider:
+        def __init__(self, options, value, description):
+            self.options, self.value = options, value
+            sliders[description] = self
+
+        def observe(self, function, name):
+            assert name == "value"
+            self.changed = function
+
+    image = SimpleNamespace(value=b"")
+    stand_in = SimpleNamespace(SelectionSlider=Slider, Image=lambda **_: image, VBox=lambda children: children)
+    monkeypatch.setitem(sys.modules, "ipywidgets", stand_in)
+    monkeypatch.setattr("IPython.display.display", shown.append)
+    explore(lambda grey: np.full((6, 8), grey, np.float32), grey=[0.1, 0.4, 0.8])
+    assert sliders["grey"].value == 0.4 and shown == [[sliders["grey"], image]]
+    levels = []
+    for grey in sliders["grey"].options:
+        sliders["grey"].value = grey
+        sliders["grey"].changed({})
+        with Image.open(io.BytesIO(image.value)) as read:
+            levels.append(int(np.asarray(read).mean()))
+    assert levels[0] < levels[1] == levels[2] == 255  # white is that of the middle still

@@ -3,11 +3,46 @@ import time
 import pytest
 
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.report import RichProgress
+from scsr_opt.report import LineProgress, RichProgress
 
 
-def test_both_are_progress():
-    assert isinstance(NoProgress(), Progress) and isinstance(RichProgress(), Progress)
+def test_all_are_progress():
+    assert all(isinstance(one, Progress) for one in (NoProgress(), RichProgress(), LineProgress()))
+
+
+@pytest.fixture
+def log(tmp_path):
+    with (tmp_path / "log").open("w+", encoding="utf-8") as file:
+        yield file
+
+
+def lines_of(log) -> list[str]:
+    with open(log.name, encoding="utf-8") as file:
+        return file.read().splitlines()
+
+
+def test_lines_appear_without_a_step_and_count_through_parts(log):
+    progress = LineProgress(every=0.05, file=log)
+    progress.start(None, "Compiling")
+    progress.start(200, "Solving")
+    progress.advance(40)
+    until = time.monotonic() + 10
+    while len(lines_of(log)) < 2 and time.monotonic() < until:
+        time.sleep(0.01)
+    progress.finish()
+    time.sleep(0.1)
+    lines = lines_of(log)
+    assert any(line.startswith("scsr: solving: 40 of 200 (") for line in lines)
+    time.sleep(0.1)
+    assert lines_of(log) == lines  # nothing after the end
+
+
+def test_short_work_shows_no_line(log):
+    progress = LineProgress(every=30.0, file=log)
+    progress.start(2, "Solving")
+    progress.advance(2)
+    progress.finish()
+    assert not lines_of(log)
 
 
 @pytest.fixture

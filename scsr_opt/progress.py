@@ -20,11 +20,17 @@ class Progress(Protocol):
     - `finish()`: this part is over. Also called when the work fails.
     """
 
-    def start(self, total: int | None, what: str) -> None: ...
+    def start(self, total: int | None, what: str) -> None:
+        """A part of the work begins, of `total` steps (None where nobody knows)."""
+        ...
 
-    def advance(self, done: int) -> None: ...
+    def advance(self, done: int) -> None:
+        """`done` more steps are finished."""
+        ...
 
-    def finish(self) -> None: ...
+    def finish(self) -> None:
+        """The part is over, or the work failed."""
+        ...
 
 
 def check_progress(progress: Any) -> None:
@@ -41,10 +47,10 @@ class NoProgress:
     """Progress that nobody sees."""
 
     def start(self, total: int | None, what: str) -> None:
-        pass
+        """Shows nothing."""
 
     def advance(self, done: int) -> None:
-        pass
+        """Shows nothing."""
 
     def finish(self) -> None:
-        pass
+        """Shows nothing."""

@@ -134,6 +134,7 @@ class Reading(eqx.Module):
 
     @property
     def objective(self) -> Float[Array, ""]:
+        """Eq. 4, halved: data part plus λΨ."""
         return self.data + self.prior
 
 

@@ -59,6 +59,7 @@ class TrainingStatus(enum.Enum):
 
     @property
     def message(self) -> str:
+        """A sentence for people."""
         return self.value
 
     @property

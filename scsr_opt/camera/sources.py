@@ -225,6 +225,7 @@ class CroppedSource(SpikeSource):
 
     @property
     def shape(self) -> tuple[int, int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """(frames, rows, columns) of the part."""
         return (self.source.shape[0], self.height, self.width)
 
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:

@@ -10,7 +10,7 @@ FAST := $(addprefix tests/,camera operators/test_operators.py operators/test_che
 	test_files.py test_validation.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo peers choosing stress bench test test-fast test-slow lint format types pytest notebooks picture constraints setup clean distclean
+.PHONY: help demo peers choosing stress bench test test-fast test-slow lint format types pytest notebooks docs picture constraints setup clean distclean
 
 help:
 	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
@@ -19,12 +19,13 @@ help:
 	@echo 'make test-slow   the long tests that make test leaves out'
 	@echo 'make lint        ruff, import-linter, vulture; make format   let ruff mend what it can'
 	@echo 'make types       pyright only         make pytest   tests only (PYTEST_ARGS="-k name")'
-	@echo 'make notebooks   run the notebooks and save them with their pictures'
+	@echo 'make notebooks   run the notebooks and save them with their pictures (NOTEBOOKS="01_first_picture")'
+	@echo 'make docs        the documentation as a site with search, build/docs/index.html'
 	@echo 'make peers       other libraries on the same two problems (makes their environments; about 11 minutes)'
 	@echo 'make choosing    solvers and priors timed anew for docs/choosing.md (about 6 minutes)'
 	@echo 'make stress      thousands of solves that could break, for docs/stability.md (6 minutes; the first time longer)'
 	@echo 'make bench       speed and accuracy in figures, for docs/benchmarks.md (about half an hour)'
-	@echo 'make picture     remake the picture of the README'
+	@echo 'make picture     remake the pictures of the README'
 	@echo 'make setup       only make .venv and install'
 	@echo 'make constraints take the newest versions that go together into constraints.txt'
 	@echo 'make clean       remove what runs leave behind     make distclean   also .venv'
@@ -66,10 +67,23 @@ test-slow: $(DEV_STAMP)
 	$(PY) -m pytest -m slow $(PYTEST_ARGS)
 
 notebooks: $(DEV_STAMP)
-	$(PY) scripts/run_notebooks.py
+	$(PY) scripts/run_notebooks.py $(NOTEBOOKS)
+
+# The site, by tools in an environment of their own (build/docs-venv, or DOCS_VENV).
+DOCS_VENV ?= build/docs-venv
+docs: $(RUN_STAMP) $(DOCS_VENV)/.installed
+	$(PY) scripts/docs_pages.py build/docs-source
+	$(DOCS_VENV)/bin/python -m sphinx -W --keep-going -q -b html build/docs-source build/docs
+	@echo build/docs/index.html
+
+$(DOCS_VENV)/.installed: pyproject.toml constraints.txt
+	$(PY) -m venv $(DOCS_VENV)
+	$(DOCS_VENV)/bin/python -m pip --quiet install --constraint constraints.txt furo myst-nb sphinx sphinx-copybutton
+	@touch $@
 
 picture: $(RUN_STAMP)
 	$(PY) scripts/first_picture.py docs/first_picture.png
+	$(PY) scripts/failure_picture.py docs/failure.png
 
 peers: $(RUN_STAMP)
 	$(PY) -m benchmarks.peers
@@ -93,7 +107,7 @@ constraints: $(DEV_STAMP)
 	rm -rf build/fresh
 	$(PY) -m venv build/fresh
 	build/fresh/bin/python -m pip --quiet install hatchling editables
-	build/fresh/bin/python -m pip --quiet install --no-build-isolation --editable '.[dev]'
+	build/fresh/bin/python -m pip --quiet install --no-build-isolation --editable '.[dev,docs,sliders]'
 	build/fresh/bin/python -m pip freeze --exclude-editable > build/constraints.txt
 	! grep -n -e '@' -e '://' build/constraints.txt
 	{ sed -n '/^#/p' constraints.txt; cat build/constraints.txt; } > constraints.txt.new

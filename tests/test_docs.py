@@ -1,6 +1,7 @@
-"""The examples of README.md and docs/extending.md run as they stand."""
+"""The examples of README.md, docs/howto.md and docs/extending.md run as they stand."""
 
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from skimage import data
 from scsr_opt.camera import Sensor, simulate, write_recording
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.scenes import Translation
+from scsr_opt.cli import main
 
 pytestmark = pytest.mark.slow
 
@@ -22,17 +24,38 @@ def examples(page: str) -> str:
     return "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S))
 
 
-def test_readme_examples_run(tmp_path, monkeypatch):
-    """On 32×24 sensor pixels in the place of the page's 400×250."""
+@pytest.fixture
+def car(tmp_path, monkeypatch) -> None:
+    """A folder with car.dat, 32×24 sensor pixels in the place of the pages' 400×250."""
     matplotlib.use("agg")
     monkeypatch.chdir(tmp_path)
     scene = Translation(data.camera()[60:156, 200:328], (0.05, 0.1), key=100)
     made = simulate(scene, scale=4, frames=170, sensor=Sensor(white_rate=0.6, photons=1000))
     write_recording("car.dat", Recording.from_array(made.spikes, white_rate=0.6))
-    code = examples("README.md")
+
+
+@pytest.mark.parametrize(
+    ("page", "files"),
+    [
+        ("README.md", {"car.png", "car_figure.png"}),
+        ("docs/howto.md", {"car.png", "car.json", "wipe.html", "crops.png", "motion.png"}),
+    ],
+)
+def test_code_runs(page, files, car, tmp_path):
+    code = examples(page)
     assert "400x250" in code
-    exec(compile(code.replace("400x250", "32x24"), "README.md", "exec"), {"__name__": "readme"})
-    assert {"car.png", "car.json", "car_figure.png"} <= {path.name for path in tmp_path.iterdir()}
+    exec(compile(code.replace("400x250", "32x24"), page, "exec"), {"__name__": "page"})
+    assert files <= {path.name for path in tmp_path.iterdir()}
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/howto.md"])
+def test_commands_run(page, car, capsys):
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)
+    given = [line for block in blocks for line in block.splitlines() if line.startswith("scsr ")]
+    assert given
+    for line in given:
+        tokens = shlex.split(line.replace("400x250", "32x24"), comments=True)[1:]
+        assert main(tokens) == 0, f"{line}: {capsys.readouterr().err}"
 
 
 def test_extending_examples_run(capsys):

@@ -38,8 +38,8 @@ _APART = "nothing moves: measurements are kept apart all the same, as merging sa
 _REASONS = {
     TileKind.STATIC: _AT_REST,
     TileKind.UNIFORM: "nothing moves, and all pixels are equally bright: all spikes of a pixel make one measurement",
-    TileKind.MOVING: "something moves or changes: each interval between spikes is a measurement with a place of its "
-    "own; they are merged only for as long as it hardly moves",
+    TileKind.MOVING: "something moves or changes: each interval between spikes has a place of its own, and those that "
+    "hardly move are merged",
     TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: all of them are used, and smoothed",
     TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
     TileKind.SATURATED: f"fires in {100 * SATURATED_SHARE:g} % of the frames or more: runs of spikes are one "

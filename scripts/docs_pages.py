@@ -1,4 +1,4 @@
-"""Pages of the documentation site that are made from the packages: the reference of every public name.
+"""Pages of the documentation site that are made from the packages: public names, and the command line.
 
     python scripts/docs_pages.py build/docs-source
 
@@ -8,10 +8,13 @@ Sphinx on the folder afterwards.
 """
 
 import ast
+import contextlib
 import dataclasses
 import enum
 import importlib
 import inspect
+import io
+import os
 import pkgutil
 import re
 import shutil
@@ -20,6 +23,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest import mock
 
 from numpy.typing import ArrayLike
 
@@ -132,6 +136,19 @@ def reference_page(module: ModuleType) -> str:
     for name in names:
         lines += ["", *_entry(module, name, getattr(module, name))]
     return "\n".join(lines) + "\n"
+
+
+def command_line_page() -> str:
+    """The page of the command line: what `scsr COMMAND --help` says, for every command."""
+    from scsr_opt.cli.app import _app, main
+
+    lines = ["# Command line", "", "What `scsr COMMAND --help` says.", ""]
+    for name in (name for name in _app() if not name.startswith("-")):
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed), mock.patch.dict(os.environ, COLUMNS="96"):  # characters a line
+            main([name, "--help"])
+        lines += [f"## scsr {name}", "", "```text", printed.getvalue().strip(), "```", ""]
+    return "\n".join(lines)
 
 
 def _entry(module: ModuleType, name: str, value: Any) -> list[str]:
@@ -252,9 +269,10 @@ def write(target: Path) -> None:
     for name in PACKAGES:
         page = reference_page(importlib.import_module(name))
         (reference / f"{name}.md").write_text(page, encoding="utf-8")
-    listed = "\n".join(f"../reference/{name}" for name in PACKAGES)
+    (reference / "command-line.md").write_text(command_line_page(), encoding="utf-8")
+    listed = "\n".join(f"../reference/{name}" for name in ("command-line", *PACKAGES))
     with (target / "docs" / "reference.md").open("a", encoding="utf-8") as page:
-        page.write(f"\n## Every public name\n\n```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n")
+        page.write(f"\n## Commands and public names\n\n```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n")
 
 
 if __name__ == "__main__":

@@ -117,6 +117,13 @@ def test_reference_has_an_entry_for_every_name():
     assert "scsr_opt/solvers/proximal_gradient.py" in page
 
 
+def test_command_line_page_has_every_command():
+    page = _tool().command_line_page()
+    for name in ("info", "simulate", "play", "solve", "film", "baseline", "compare", "train", "warm", "cache", "demo"):
+        assert f"## scsr {name}\n\n```text\nUsage: scsr {name} " in page
+    assert "--strength" in page
+
+
 def commands(page: str) -> list[str]:
     """Lines of the shell in a page's examples, but for those that are marked as not run."""
     blocks = re.findall(r"```sh\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.S)

@@ -55,7 +55,7 @@ class Solving:
         str, Parameter(help="What is measured: intervals between spikes, or windows:N, spikes counted over N frames.")
     ] = "intervals"
     robust: Annotated[
-        Robust | None, Parameter(help="Give measurements less say that contradict the picture. Default: all alike.")
+        Robust | None, Parameter(help="Down-weight measurements that disagree with the picture. Default: all alike.")
     ] = None
     gain: Annotated[
         str,

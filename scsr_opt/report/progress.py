@@ -47,7 +47,7 @@ class LineProgress:
 
     def _lines(self, ended: threading.Event, began: float) -> None:
         while not ended.wait(max(self._next - time.monotonic(), 0)):
-            self._next += self._every
+            self._next = time.monotonic() + self._every  # from now on: a compiler may have held all threads up
             of = "" if self._total is None else f": {self._done} of {self._total}"
             said = f"scsr: {self._what[:1].lower()}{self._what[1:]}{of} ({time.monotonic() - began:.0f} s)"
             print(said, file=self._file or sys.stderr, flush=True)

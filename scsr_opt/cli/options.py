@@ -19,6 +19,7 @@ from scsr_opt.report.progress import RichProgress
 
 if TYPE_CHECKING:
     import scsr_opt.camera
+    import scsr_opt.camera.white
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -39,6 +40,14 @@ File = Annotated[
 ]
 Quiet = Annotated[
     bool, Parameter(name=["--quiet", "-q"], negative="", show_default=False, help="Print nothing but errors.")
+]
+
+ShownWhite = Annotated[
+    float | None,
+    Parameter(
+        help="Intensity that is white in what is looked at: 8-bit .png, figures, films; 1 is what fires at the white "
+        "rate. Default: almost the largest that is known in the recording. Other files are absolute, 1 = white."
+    ),
 ]
 
 Overwrite = Annotated[
@@ -134,6 +143,32 @@ def _rectangle(text: str) -> tuple[int, int, int, int]:
             f"0,100,120,200."
         ) from None
     return top, left, height, width
+
+
+def white_of_picture(path: Path, bits: int | None, white: float | None, *, also_for: Path | None = None) -> None:
+    """**Raises:** `InputError` if `white` is no intensity, or neither the picture `path` nor `also_for` (None if there
+    is no other file) would show it."""
+    from scsr_opt.camera.white import White
+    from scsr_opt.report.pictures import PictureFormat
+
+    if white is not None and White.given(white) and also_for is None and PictureFormat.of(path, bits=bits).absolute:
+        raise InputError(
+            f"--white is for what is looked at, but {path} holds intensity as it is, 1 = white: leave it out, or write "
+            f"an 8-bit .png."
+        )
+
+
+def shown_white(
+    recording: "scsr_opt.camera.Recording", white: float | None, first: int, last: int, frames: int | None = None
+) -> "scsr_opt.camera.white.White":
+    """White of what is looked at from key frame `first` to `last`: `white` if it is given, or as found in the frames
+    around them, `frames` or the usual number."""
+    from scsr_opt.camera.recording import USUAL_FRAMES
+    from scsr_opt.camera.white import White, find_white_around
+
+    if white is not None:
+        return White.given(white)
+    return find_white_around(recording, first, last, USUAL_FRAMES if frames is None else frames)
 
 
 def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:

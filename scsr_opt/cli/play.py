@@ -5,7 +5,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, moments, progress
+from scsr_opt.cli.options import (
+    File,
+    Overwrite,
+    Quiet,
+    Reading,
+    ShownWhite,
+    Whole,
+    check_outputs,
+    key_frame,
+    moments,
+    progress,
+    shown_white,
+    white_of_picture,
+)
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 
@@ -53,25 +66,27 @@ def play(
     rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = _RATE,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    white: ShownWhite = None,
     reading: Reading | None = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Show a recording as a picture of one moment, or as a film.
 
-    Written are linear intensities, 1 = white, unless --gamma is given. If all is dark, lower --white-rate: the
-    rate to use for white is what `scsr info` calls the brightest.
+    Films and 8-bit pictures are linear, unless --gamma is given, up to a white that the recording shows, or --white.
+    Other files are absolute, 1 = white.
     """
     from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
 
     target = Path(f"{file.stem}_{method}.png") if output is None else output
     is_film = target.suffix.lower() in FILM_ENDINGS
     if is_film:
-        check_film(target, rate=rate, gamma=gamma)
+        check_film(target, rate=rate, gamma=gamma, white=1.0 if white is None else white)
         if key is not None or bits is not None:
             raise InputError(f"--key and --bits are for pictures, but {target} is a film: leave them out.")
     else:
-        PictureFormat.of(target, bits=bits, gamma=gamma)
+        absolute = PictureFormat.of(target, bits=bits, gamma=gamma).absolute
+        white_of_picture(target, bits, white)
         if start or stop is not None or step is not None or rate != _RATE:
             raise InputError(
                 f"--start, --stop, --step and --rate are for films, but {target} is a picture: give --key for the "
@@ -84,14 +99,19 @@ def play(
     player = _Player(recording, method, window)
     if is_film:
         keys = moments(recording, start, stop, step, about=_PICTURES)
-        count = write_film(target, player.film(keys, progress(quiet)), rate=rate, gamma=gamma)
+        level = shown_white(recording, white, keys[0], keys[-1])
+        count = write_film(target, player.film(keys, progress(quiet)), rate=rate, gamma=gamma, white=level.level)
         made = f"{count} pictures of frames {keys[0]} to {keys[-1]}, every {keys.step}."
     else:
         moment = key_frame(recording, key)
-        write_picture(target, player.picture(moment), bits=bits, gamma=gamma)
+        level = None if absolute else shown_white(recording, white, moment, moment)
+        shown = 1.0 if level is None else level.level
+        write_picture(target, player.picture(moment), bits=bits, gamma=gamma, white=shown)
         made = f"frame {moment} by {method}."
     if not quiet:
         print(f"{target}: {made}")
+        if level is not None:
+            print(level.sentence)
     return 0
 
 

@@ -63,6 +63,13 @@ class Clip(NamedTuple):
         """The key frame, counted from the recording's first frame."""
         return self.start + self.key
 
+    def without(self, bad: Bool[np.ndarray, "h w"]) -> "Clip":
+        """Clip in which these pixels are bad, too."""
+        known = bad if self.bad_pixels is None else bad | self.bad_pixels
+        spikes = self.spikes.copy()
+        spikes[:, bad] = 0
+        return self._replace(spikes=spikes, bad_pixels=known)
+
     def part(self, rows: slice, columns: slice) -> "Clip":
         """Clip of a rectangle of the sensor, with these frames."""
         bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]

@@ -81,6 +81,10 @@ class BadPixelSettings(Settings):
     """Share of a limit that pixels beside one that was found have to reach: the border of a grain dims less."""
     grown_px: int = 2
     """Sensor pixels by which it may grow so."""
+    dark_deviations: float = 10.0
+    """Robust standard deviations by which a hot pixel fires more than the median in the dark (`calibrate`)."""
+    least_hot_rate: float = 0.02
+    """Spikes per frame by which it does at least: less is a dark level that can be subtracted."""
     most_resting_share: float = 0.03
     """Share of the pixels that may be found, at most; with more it is the motion that is wrong."""
 

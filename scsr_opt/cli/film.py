@@ -86,7 +86,7 @@ def film(
     made = _Made(pictures, keys)
     for path in made.paths():
         check_new("pictures", path, overwrite)
-    choices = solving.arguments(recording, scale, crop)
+    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
 
     from scsr_opt import reconstruct_sequence
     from scsr_opt.motion import Estimator

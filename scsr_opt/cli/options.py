@@ -18,6 +18,7 @@ from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.progress import RichProgress
 
 if TYPE_CHECKING:
+    import scsr_opt.calibration.maps
     import scsr_opt.camera
     import scsr_opt.camera.white
 
@@ -96,8 +97,15 @@ class Reading:
     bad_pixels: Annotated[
         Path | None,
         Parameter(
-            help="A .npy file with a (height, width) mask of the whole sensor, upright; pixels marked 1 are not used. "
-            "Default: the file's."
+            help="A .npy file with a (height, width) mask of the whole sensor, upright; pixels marked 1 are not used, "
+            "and no others are searched for. Default: the file's, and those that the recording shows."
+        ),
+    ] = None
+    calibration: Annotated[
+        Path | None,
+        Parameter(
+            help="An .npz of scsr calibrate, of the whole sensor: bad pixels that are not used, gains, and dark levels "
+            "that are subtracted."
         ),
     ] = None
     crop: Annotated[
@@ -131,7 +139,22 @@ class Reading:
         )
         if crop is not None:
             recording.crop(*crop)
-        return recording, crop
+        maps = self.maps()
+        return recording if maps is None else maps.applied(recording), crop
+
+    def maps(self) -> "scsr_opt.calibration.maps.Calibration | None":
+        """The calibration, if one was given. **Raises:** `InputError` if it cannot be read."""
+        if self.calibration is None:
+            return None
+        from scsr_opt.calibration.maps import Calibration
+
+        return Calibration.load(self.calibration)
+
+    def corrections(self) -> dict[str, Any]:
+        """Arguments of `reconstruct` that the calibration gives, and those that bad pixels given as a mask do."""
+        maps = self.maps()
+        found = {} if self.bad_pixels is None else {"bad_pixels": None}
+        return found if maps is None else {**found, "gain": maps.gain, "dark": maps.dark}
 
 
 def _rectangle(text: str) -> tuple[int, int, int, int]:

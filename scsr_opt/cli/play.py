@@ -23,6 +23,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 
 if TYPE_CHECKING:
+    import scsr_opt.calibration.maps
     import scsr_opt.camera
 
 Method = Literal["tfp", "tfi", "stp"]
@@ -95,8 +96,12 @@ def play(
     if window is not None and method != "tfp":
         raise InputError(f"--window is for --method tfp, but the method is {method}: leave it out.")
     check_outputs([file], overwrite, output=target)
-    recording = (reading or Reading()).open(file)
-    player = _Player(recording, method, window)
+    reading = reading or Reading()
+    recording, crop = reading.whole(file)
+    maps = reading.maps()
+    if crop is not None:
+        recording, maps = recording.crop(*crop), None if maps is None else maps.crop(*crop)
+    player = _Player(recording, method, window, maps)
     if is_film:
         keys = moments(recording, start, stop, step, about=_PICTURES)
         level = shown_white(recording, white, keys[0], keys[-1])
@@ -118,11 +123,18 @@ def play(
 class _Player:
     """Playback of a recording at any frame; only the frames around it are read."""
 
-    def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int | None):
+    def __init__(
+        self,
+        recording: "scsr_opt.camera.Recording",
+        method: Method,
+        window: int | None,
+        maps: "scsr_opt.calibration.maps.Calibration | None" = None,
+    ):
         from scsr_opt.camera.playback import WINDOW_FRAMES
 
         self._recording = recording
         self._method = method
+        self._maps = maps
         self._window = min(WINDOW_FRAMES, recording.frames) if window is None else window
         if not 1 <= self._window <= recording.frames:
             raise InputError(
@@ -130,6 +142,10 @@ class _Player:
             )
 
     def picture(self, moment: int) -> Any:
+        shown = self._as_recorded(moment)
+        return shown if self._maps is None else self._maps.corrected(shown, self._recording.white_rate)
+
+    def _as_recorded(self, moment: int) -> Any:
         from scsr_opt import camera
 
         frames = self._window if self._method == "tfp" else _CONTEXT

@@ -85,7 +85,7 @@ def solve(
     started = time.perf_counter()
     recording, crop = (reading or Reading()).whole(file)
     moment = key_frame(recording, key)
-    choices = solving.arguments(recording, scale, crop)
+    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
 
     from scsr_opt import reconstruct
     from scsr_opt.camera.white import White

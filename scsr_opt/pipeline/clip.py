@@ -3,7 +3,7 @@
 from typing import NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
-from jaxtyping import Bool, Shaped
+from jaxtyping import Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt._validation import whole
@@ -19,6 +19,7 @@ class Clip(NamedTuple):
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
     - `start`: frame of the recording that `spikes[0]` is.
+    - `dark`: (h, w), intensity that each pixel shows without any light; None for 0.
     """
 
     spikes: Shaped[np.ndarray, "T h w"]
@@ -26,6 +27,7 @@ class Clip(NamedTuple):
     white_rate: float
     bad_pixels: Bool[np.ndarray, "h w"] | None
     start: int = 0
+    dark: Float[np.ndarray, "h w"] | None = None
 
     @classmethod
     def around(
@@ -73,4 +75,5 @@ class Clip(NamedTuple):
     def part(self, rows: slice, columns: slice) -> "Clip":
         """Clip of a rectangle of the sensor, with these frames."""
         bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
-        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad)
+        dark = None if self.dark is None else self.dark[rows, columns]
+        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad, dark=dark)

@@ -11,7 +11,16 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
-from scsr_opt._validation import check_type, flag, picture_shape, pixel_gain, prior_strength, rectangle, whole
+from scsr_opt._validation import (
+    check_type,
+    flag,
+    picture_shape,
+    pixel_dark,
+    pixel_gain,
+    prior_strength,
+    rectangle,
+    whole,
+)
 from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, checked_mask, checked_white_rate
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
@@ -85,6 +94,8 @@ class Options:
       (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
       chance (`GainSettings.pattern_spread`). Where gains are found or given, motion is estimated over them: a pattern
       rests.
+    - `dark`: (h, w), spikes per frame that each pixel fires without any light; None for 0. It is subtracted from all
+      that is measured.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
@@ -96,8 +107,8 @@ class Options:
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
     - `shortcuts`: the work that is left out where a scene does not need it.
     - `crop`: (top, left, height, width) of the part of the sensor that is solved for, sensor pixels; all if None.
-      `bad_pixels` and `gain` may be those of the whole sensor or of the part; `motion`, `optics` and `state` are those
-      of the part.
+      `bad_pixels`, `gain` and `dark` may be those of the whole sensor or of the part; `motion`, `optics` and `state`
+      are those of the part.
     - `keep_images`: every stage keeps its pictures.
     - `settings`: thresholds of every stage, which rarely need to be changed (docs/settings.md).
     """
@@ -108,6 +119,7 @@ class Options:
     bad_pixels: ArrayLike | BadPixels | Literal["auto"] | None = "auto"
     samples: SamplingRule | None = None
     gain: ArrayLike | Literal["auto", "blind"] | None = "auto"
+    dark: ArrayLike | None = None
     optics: Blur | Literal["estimate"] | None = None
     prior: Prior | None = None
     strength: SupportsFloat | None = None
@@ -148,6 +160,7 @@ class Options:
         gain = self.gain
         if not (self.finds_gain or gain is None):
             gain = pixel_gain(cut_out(gain, sensor, crop), height, width)
+        dark = None if self.dark is None else pixel_dark(cut_out(self.dark, sensor, crop), height, width)
         check_type(self.samples, SamplingRule, "samples", "Intervals()")
         check_type(self.prior, Prior, "prior", "HuberTotalVariation()")
         check_type(self.solver, Solver, "solver", "FISTA()")
@@ -183,6 +196,7 @@ class Options:
             motion=motion,
             bad_pixels=bad,
             gain=gain,
+            dark=dark,
             crop=crop,
             prior=prior,
             strength=strength,

@@ -225,6 +225,8 @@ def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIn
     given = options.bad_pixels if isinstance(options.bad_pixels, BadPixels) else None
     mask = None if given is None or not given.mask.any() else given.mask
     clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=mask)
+    if options.dark is not None:
+        clip = clip._replace(dark=np.asarray(options.dark) / np.float32(clip.white_rate))
     bad = None if clip.bad_pixels is None else BadPixels.given(clip.bad_pixels)
     if bad is not None and given is not None:
         bad = given.also(bad)

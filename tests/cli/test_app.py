@@ -27,7 +27,8 @@ def test_help_comes_at_once_and_without_jax():
 
 
 @pytest.mark.parametrize(
-    "command", ["info", "calibrate", "simulate", "play", "solve", "baseline", "demo", "warm", "cache", "train", "compare"]
+    "command",
+    ["info", "calibrate", "simulate", "play", "solve", "baseline", "demo", "warm", "cache", "train", "compare"],
 )
 def test_help_of_every_command(scsr, command):
     said = scsr(command, "--help")

@@ -254,7 +254,8 @@ def resting_pixels(
     smooth = [_smoothed(of) for of in (*velocity, *acceleration)]
     moved = np.hypot(smooth[0], smooth[1]) * span
     good = np.ones(shape, bool) if bad is None else ~bad
-    rows = np.flatnonzero(good & (moved >= settings.least_motion_px))
+    alike = _alike(velocity, settings.most_motion_difference_px / (span / 2), settings)
+    rows = np.flatnonzero(good & alike & (moved >= settings.least_motion_px))
     if rows.size == 0:
         return nothing
 
@@ -275,7 +276,8 @@ def resting_pixels(
         measured, predicted = np.zeros((2, settings.quarters, rows.size), np.float32)
         looks = np.zeros(rows.size, np.float32)
         for b, (reading, light) in enumerate(read):
-            known = (reading @ np.minimum(weight, 1) > settings.least_known_share).astype(np.float32)
+            trusted = np.minimum(weight, 1) * alike.ravel()
+            known = (reading @ trusted > settings.least_known_share).astype(np.float32)
             measured[b * settings.quarters // count] += known * light
             predicted[b * settings.quarters // count] += known * (reading @ scene)
             looks += known
@@ -364,6 +366,19 @@ def _smoothed(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     left, right, further = between(width, medians.shape[1])
     rows = medians[up] * (1 - lower)[:, None] + medians[down] * lower[:, None]
     return rows[:, left] * (1 - further) + rows[:, right] * further
+
+
+def _alike(velocity: Float[np.ndarray, "2 h w"], most: float, settings: BadPixelSettings) -> Bool[np.ndarray, "h w"]:
+    """True where most of what is around moves alike, to `most` sensor pixels per frame: not at the border of an object,
+    where something is seen that others have not seen."""
+    low, high = settings.motion_quantiles
+    shape = velocity.shape[1:]
+    alike = np.ones(shape, bool)
+    for of in velocity:
+        differs = _over_squares(of, _MOTION_SQUARE, high) - _over_squares(of, _MOTION_SQUARE, low) > most
+        wide = np.repeat(np.repeat(differs, _MOTION_SQUARE, axis=0), _MOTION_SQUARE, axis=1)
+        alike &= ~wide[: shape[0], : shape[1]]
+    return alike
 
 
 def _in_squares(values: Float[np.ndarray, "h w"], share: float) -> Float[np.ndarray, "h w"]:

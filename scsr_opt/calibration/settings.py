@@ -47,6 +47,10 @@ class BadPixelSettings(Settings):
 
     least_motion_px: float = 3.0
     """Sensor pixels that the scene has to move at a pixel for others to tell what it should have measured."""
+    motion_quantiles: tuple[float, float] = (0.3, 0.7)
+    """Quantiles of the velocities around a pixel between which it moves as they do."""
+    most_motion_difference_px: float = 6.0
+    """Sensor pixels, in half the time, by which these may differ; at the border of an object nothing is judged."""
     quarters: int = 4
     """Stretches of time in each of which a deviation has to be there."""
     rounds: int = 2

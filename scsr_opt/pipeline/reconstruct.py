@@ -127,7 +127,7 @@ def solve(
         assembly.diagnostics,
         iterations=len(stages),
         solver=type(assembly.method.solver).__name__,
-        samples=np.count_nonzero(placed.weight),
+        samples=int(np.count_nonzero(placed.weight)),
         positions=placed.finest,
         strength=assembly.strength,
         objective=stages[-1].objective,

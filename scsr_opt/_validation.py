@@ -107,6 +107,19 @@ def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h
     return found
 
 
+def pixel_dark(dark: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h w"]:
+    """`dark` as float32 (h, w). **Raises:** `InputError` if it has another shape or is not from 0 to below 1."""
+    array = as_array(dark, "dark")
+    if array.shape != (height, width) or array.dtype.kind not in "fiu":
+        raise InputError(
+            f"dark is an array of {array.dtype} of shape {array.shape}; it must be the spikes per frame that each "
+            f"pixel fires in darkness, ({height}, {width})."
+        )
+    if not np.all((array >= 0) & (array < 1)):
+        raise InputError("dark holds values that are not from 0 to below 1 spikes per frame; mark such pixels as bad.")
+    return array.astype(np.float32)
+
+
 def finite(given: object) -> float:
     """`given` as a float; not a number where it is none, or is not finite."""
     try:

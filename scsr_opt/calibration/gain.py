@@ -95,6 +95,17 @@ def flat_gain(
     known_bad = checked_settings(spikes.shape, READOUT_RATE, WHITE_RATE, bad_pixels)["bad_pixels"]
     rate = mean_light(SpikeTimes.of(spikes), 0, len(spikes), white_rate=WHITE_RATE)
     bad = np.zeros(shape, bool) if known_bad is None else known_bad
+    return even_gain(rate, bad, even_over=even_over, settings=settings)
+
+
+def even_gain(
+    rate: Float[np.ndarray, "h w"],
+    bad: Bool[np.ndarray, "h w"],
+    *,
+    even_over: int = 15,
+    settings: GainSettings = GainSettings(),
+) -> Float[np.ndarray, "h w"]:
+    """Gains from the rates of pixels that see an even light (`flat_gain`); 1 where they are bad."""
     # Bad pixels take the median of the good ones, so that they do not change the median around their neighbours.
     filled = np.where(bad, np.median(rate[~bad]) if np.any(~bad) else 1.0, rate)
     around = median_filter(filled, size=even_over, mode="nearest")

@@ -1,8 +1,96 @@
-"""Thresholds by which gains of pixels and the blur of the lens are found."""
+"""Thresholds by which bad pixels, gains of pixels and the blur of the lens are found."""
 
 from dataclasses import dataclass
 
 from scsr_opt._settings import Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class BadPixelSettings(Settings):
+    """Search for bad pixels (`scsr_opt.calibration.bad_pixels`). Found on pictures of BSDS500 at rest and moving, on
+    text, checkerboards and stars, and on a real roadside with and without a car."""
+
+    above_zero = frozenset({"around_px", "quarters", "rounds"})
+
+    evidence_frames: int = 400
+    """Frames, at most, around the key frame whose spikes are counted: more than a clip, for what is dim."""
+    least_frames: int = 16
+    """Frames from which on bad pixels are searched for."""
+    around_px: int = 7
+    """Sensor pixels around a pixel within which deviations are compared."""
+    least_deviation: float = 0.3
+    """Deviation of ln(spikes) from the median of the neighbours, at least: a quarter less light, or a third more. Gains
+    spread by 0.06, and what is less is left to them."""
+    least_beyond_share: float = 0.6
+    """Share of that by which a pixel lies beyond all but one of its neighbours: the corner of a square does not."""
+    least_beyond_spikes: float = 2.0
+    """Spikes by which it lies beyond them, at least."""
+    most_spread: float = 0.25
+    """Share of a point's light that its neighbours have as well, from which on it has come through the lens."""
+    least_spikes: float = 4.0
+    """Spikes, at least, that it has more or less than the neighbours."""
+    outlying_factor: float = 4.0
+    """Deviation, at least, in the third largest around: 4 to 26 of those that are seen in the roadside, 3.6 at most
+    of single pixels of its leaves; 5 pixels of 100 pictures at rest, 1,080,000 pixels, are above."""
+    dead_neighbour_spikes: float = 8.0
+    """Spikes of the second darkest neighbour, at least, for a pixel without any to be dead, however the scene is."""
+    dead_surround_spikes: float = 3.0
+    """Spikes of the third darkest pixel around, at least: in print, others are as dark."""
+    hot_surround_share: float = 0.75
+    """Share of the frames in which the second brightest neighbour and the third brightest pixel around fire at most,
+    for a pixel that is saturated to be hot, however the scene is."""
+    light_ratio: float = 3.0
+    """Ratio to the neighbours from which on an isolated bright pixel is taken for a light of the scene. Then none of
+    the others is taken for bad."""
+    lights_share: float = 0.1
+    """Lights, at most, in hot pixels: a scene of many lights may have some that saturate a pixel."""
+
+    least_motion_px: float = 3.0
+    """Sensor pixels that the scene has to move at a pixel for others to tell what it should have measured."""
+    motion_quantiles: tuple[float, float] = (0.3, 0.7)
+    """Quantiles of the velocities around a pixel between which it moves as they do."""
+    most_motion_difference_px: float = 6.0
+    """Sensor pixels, in half the time, by which these may differ; at the border of an object nothing is judged."""
+    quarters: int = 4
+    """Stretches of time in each of which a deviation has to be there."""
+    rounds: int = 2
+    """Rounds, each without what the one before found: at first a grain of dust dims the picture that judges it."""
+    dark_light: float = 0.01
+    """Intensity that is added to measured and predicted light: darkness deviates by nothing."""
+    least_known_share: float = 0.9
+    """Share of the weight that the prediction of a look has to have."""
+    least_looks_share: float = 0.33
+    """Share of the pictures in which a pixel sees what the others have seen."""
+    least_resting_deviation: float = 0.15
+    """Logarithm of measured over predicted light, at least: less is a matter of gains."""
+    resting_quantiles: tuple[float, float] = (0.5, 0.9)
+    """Shares of the pixels around that deviate by less than a quantile of them."""
+    resting_factors: tuple[float, float] = (7.5, 3.0)
+    """Deviation, at least, in these quantiles: where motion, or the gains, are not exact, all deviate."""
+    resting_spikes: float = 2.5
+    """Spikes by which measured and predicted light have to differ: where a recording begins and ends between two
+    spikes, one is uncertain."""
+    steady_share: float = 0.5
+    """Share of the deviation that each quarter has to show."""
+    along_px: tuple[int, int] = (8, 12)
+    """Sensor pixels along the motion, from and to, between which no deviation may go on: further than a grain of
+    dust is wide."""
+    along_share: float = 0.4
+    """Share of the deviation that the mean of those may have, at most."""
+    near_px: tuple[int, int] = (2, 5)
+    """Nearer ones, between which it may only where it also goes on across the motion."""
+    along_ratio: float = 2.0
+    """Deviation along the motion over that across it, from which on it is that of an edge."""
+    grown_share: float = 0.5
+    """Share of a limit that pixels beside one that was found have to reach: the border of a grain dims less."""
+    grown_px: int = 2
+    """Sensor pixels by which it may grow so."""
+    dark_deviations: float = 10.0
+    """Robust standard deviations by which a hot pixel fires more than the median in the dark (`calibrate`)."""
+    least_hot_rate: float = 0.02
+    """Spikes per frame by which it does at least: less is a dark level that can be subtracted."""
+    most_resting_share: float = 0.03
+    """Share of the pixels that may be found, at most; with more it is the motion that is wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -215,7 +215,7 @@ def checked_settings(
     return {
         "readout_rate": _between(readout_rate, "readout_rate", *_READOUT_RATES, "in spike frames per second"),
         "white_rate": checked_white_rate(white_rate),
-        "bad_pixels": None if bad_pixels is None else _mask(bad_pixels, shape[1:]),
+        "bad_pixels": None if bad_pixels is None else checked_mask(bad_pixels, shape[1:]),
     }
 
 
@@ -250,7 +250,8 @@ def _held(array: np.ndarray) -> str:
     return f"values from {array.min()} to {array.max()}"
 
 
-def _mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+def checked_mask(mask: Any, shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """A mask of bad pixels as a bool array of its own. **Raises:** `InputError` if it is none of this shape."""
     array = as_array(mask, "bad_pixels")
     if array.shape != shape:
         raise InputError(

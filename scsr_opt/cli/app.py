@@ -18,6 +18,7 @@ from cyclopts import App
 
 from scsr_opt.cli.baseline import baseline
 from scsr_opt.cli.cache import cache, warm
+from scsr_opt.cli.calibrate import calibrate
 from scsr_opt.cli.demo import demo
 from scsr_opt.cli.film import film
 from scsr_opt.cli.info import info
@@ -50,7 +51,19 @@ def _app() -> App:
         suppress_keyboard_interrupt=False,
     )
     added = sorted(entry_points(group="scsr.commands"), key=lambda entry: entry.name)
-    for command in (info, simulate, play, solve, film, baseline, demo, warm, cache, *(entry.load() for entry in added)):
+    for command in (
+        info,
+        calibrate,
+        simulate,
+        play,
+        solve,
+        film,
+        baseline,
+        demo,
+        warm,
+        cache,
+        *(entry.load() for entry in added),
+    ):
         # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
         app.command(command, help="\n\n".join(" ".join(p.split()) for p in (command.__doc__ or "").split("\n\n")))
     return app

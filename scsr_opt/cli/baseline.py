@@ -5,7 +5,18 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame
+from scsr_opt.cli.options import (
+    File,
+    Overwrite,
+    Quiet,
+    Reading,
+    ShownWhite,
+    Whole,
+    check_outputs,
+    key_frame,
+    shown_white,
+    white_of_picture,
+)
 from scsr_opt.errors import InputError
 
 Method = Literal[
@@ -46,6 +57,7 @@ def baseline(
     key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    white: ShownWhite = None,
     reading: Reading | None = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -56,7 +68,8 @@ def baseline(
     """
     from scsr_opt.report.pictures import PictureFormat, write_picture
 
-    PictureFormat.of(output, bits=bits, gamma=gamma)
+    absolute = PictureFormat.of(output, bits=bits, gamma=gamma).absolute
+    white_of_picture(output, bits, white)
     check_outputs([file], overwrite, output=output)
     if scale < 1:
         raise InputError(f"--scale is {scale}, but it must be at least 1.")
@@ -66,7 +79,10 @@ def baseline(
     from scsr_opt.baselines import BASELINES
 
     image = BASELINES[method.replace("-", "_")](recording, scale=scale, key=moment)
-    write_picture(output, image, bits=bits, gamma=gamma)
+    level = None if absolute else shown_white(recording, white, moment, moment)
+    write_picture(output, image, bits=bits, gamma=gamma, white=1.0 if level is None else level.level)
     if not quiet:
         print(f"{output}: frame {moment} by {method}, {image.shape[1]}x{image.shape[0]}.")
+        if level is not None:
+            print(level.sentence)
     return 0

@@ -14,12 +14,14 @@ from scsr_opt.cli.options import (
     Overwrite,
     Quiet,
     Reading,
+    ShownWhite,
     Whole,
     check_new,
     check_outputs,
     moments,
     progress,
     say_failure,
+    shown_white,
 )
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
@@ -51,6 +53,7 @@ def film(
     ] = None,
     rate: Annotated[float, Parameter(help="Pictures per second.")] = 25.0,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    white: ShownWhite = None,
     pictures: Annotated[
         Path | None,
         Parameter(help="A folder in which each picture is written as well: FRAME.tif, 32 bit, linear intensity."),
@@ -67,7 +70,7 @@ def film(
     """
     from scsr_opt.report.pictures import check_film, write_film
 
-    check_film(output, rate=rate, gamma=gamma)
+    check_film(output, rate=rate, gamma=gamma, white=1.0 if white is None else white)
     check_outputs([file], overwrite, output=output)
     if pictures is not None:
         if not pictures.is_dir():
@@ -83,7 +86,7 @@ def film(
     made = _Made(pictures, keys)
     for path in made.paths():
         check_new("pictures", path, overwrite)
-    choices = solving.arguments(recording, scale, crop)
+    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
 
     from scsr_opt import reconstruct_sequence
     from scsr_opt.motion import Estimator
@@ -96,10 +99,12 @@ def film(
     if frames is not None:
         choices["frames"] = frames
 
+    part = recording if crop is None else recording.crop(*crop)
+    level = shown_white(part, white, keys[0], keys[-1], frames)
     begin = time.perf_counter()
     solutions = reconstruct_sequence(recording, keys, scale=scale, **choices)
     try:
-        count = write_film(output, made.images(solutions, progress(quiet)), rate=rate, gamma=gamma)
+        count = write_film(output, made.images(solutions, progress(quiet)), rate=rate, gamma=gamma, white=level.level)
     except _Failed as failed:
         say_failure(f"No film was written, because of frame {failed.key}", failed.sentence)
         return 1
@@ -109,7 +114,8 @@ def film(
         times = "once" if len(made.anew) == 1 else f"{len(made.anew)} times"
         print(
             f"{output}: {shown} of frames {keys[0]} to {keys[-1]}, every {keys.step}; {each:.2g} s each.\n"
-            f"Motion was estimated {times}, at {_listed(made.anew)}, and carried on between."
+            f"Motion was estimated {times}, at {_listed(made.anew)}, and carried on between.\n"
+            f"{level.sentence}"
         )
     return 0
 

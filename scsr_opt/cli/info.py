@@ -1,12 +1,13 @@
 """`scsr info`: what is in a recording."""
 
+from dataclasses import asdict
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Quiet, Reading, progress
+from scsr_opt.cli.options import File, Quiet, Reading, progress, shown_white
 from scsr_opt.progress import Progress
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[st
         meter.finish()
     rates = counts / recording.frames
     low, median, high = (float(value) for value in np.percentile(rates, [0.1, 50, 99.9]))
-    bad = recording.bad_pixels
+    bad, white = recording.bad_pixels, shown_white(recording, None, 0, recording.frames - 1)
     return {
         "frames": recording.frames,
         "width": recording.width,
@@ -71,6 +72,7 @@ def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[st
         "bad_pixels": None if bad is None else int(np.count_nonzero(bad)),
         "silent_pixels": int(np.count_nonzero(counts == 0)),
         "saturated": share_saturated(counts, recording.frames, bad),
+        "white": asdict(white) | {"rate": white.level * recording.white_rate},
         "always_firing_pixels": int(np.count_nonzero(counts == recording.frames)),
     }
 
@@ -87,6 +89,8 @@ def _lines(file: Path, facts: dict[str, Any]) -> list[str]:
         "firing rate": f"{facts['rate_low']:.4g} darkest, {facts['rate_median']:.4g} median, {facts['rate_high']:.4g} "
         f"brightest (0.1 %, 50 %, 99.9 % of the pixels)",
         "white rate": f"{facts['white_rate']:g} spikes per frame is taken for white",
+        "white shown": f"intensity {facts['white']['level']:.3g}, {facts['white']['rate']:.3g} spikes per frame: "
+        f"{facts['white']['reason']}",
         "bad pixels": f"{bad}; never fired: {facts['silent_pixels']:,}; fired in every frame: "
         f"{facts['always_firing_pixels']:,}",
     }

@@ -18,7 +18,9 @@ from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.progress import LineProgress, RichProgress
 
 if TYPE_CHECKING:
+    import scsr_opt.calibration.maps
     import scsr_opt.camera
+    import scsr_opt.camera.white
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -39,6 +41,14 @@ File = Annotated[
 ]
 Quiet = Annotated[
     bool, Parameter(name=["--quiet", "-q"], negative="", show_default=False, help="Print nothing but errors.")
+]
+
+ShownWhite = Annotated[
+    float | None,
+    Parameter(
+        help="Intensity that is white in what is looked at: 8-bit .png, figures, films; 1 is what fires at the white "
+        "rate. Default: almost the largest that is known in the recording. Other files are absolute, 1 = white."
+    ),
 ]
 
 Overwrite = Annotated[
@@ -87,8 +97,15 @@ class Reading:
     bad_pixels: Annotated[
         Path | None,
         Parameter(
-            help="A .npy file with a (height, width) mask of the whole sensor, upright; pixels marked 1 are not used. "
-            "Default: the file's."
+            help="A .npy file with a (height, width) mask of the whole sensor, upright; pixels marked 1 are not used, "
+            "and no others are searched for. Default: the file's, and those that the recording shows."
+        ),
+    ] = None
+    calibration: Annotated[
+        Path | None,
+        Parameter(
+            help="An .npz of scsr calibrate, of the whole sensor: bad pixels that are not used, gains, and dark levels "
+            "that are subtracted."
         ),
     ] = None
     crop: Annotated[
@@ -122,7 +139,22 @@ class Reading:
         )
         if crop is not None:
             recording.crop(*crop)
-        return recording, crop
+        maps = self.maps()
+        return recording if maps is None else maps.applied(recording), crop
+
+    def maps(self) -> "scsr_opt.calibration.maps.Calibration | None":
+        """The calibration, if one was given. **Raises:** `InputError` if it cannot be read."""
+        if self.calibration is None:
+            return None
+        from scsr_opt.calibration.maps import Calibration
+
+        return Calibration.load(self.calibration)
+
+    def corrections(self) -> dict[str, Any]:
+        """Arguments of `reconstruct` that the calibration gives, and those that bad pixels given as a mask do."""
+        maps = self.maps()
+        found = {} if self.bad_pixels is None else {"bad_pixels": None}
+        return found if maps is None else {**found, "gain": maps.gain, "dark": maps.dark}
 
 
 def _rectangle(text: str) -> tuple[int, int, int, int]:
@@ -134,6 +166,32 @@ def _rectangle(text: str) -> tuple[int, int, int, int]:
             f"0,100,120,200."
         ) from None
     return top, left, height, width
+
+
+def white_of_picture(path: Path, bits: int | None, white: float | None, *, also_for: Path | None = None) -> None:
+    """**Raises:** `InputError` if `white` is no intensity, or neither the picture `path` nor `also_for` (None if there
+    is no other file) would show it."""
+    from scsr_opt.camera.white import White
+    from scsr_opt.report.pictures import PictureFormat
+
+    if white is not None and White.given(white) and also_for is None and PictureFormat.of(path, bits=bits).absolute:
+        raise InputError(
+            f"--white is for what is looked at, but {path} holds intensity as it is, 1 = white: leave it out, or write "
+            f"an 8-bit .png."
+        )
+
+
+def shown_white(
+    recording: "scsr_opt.camera.Recording", white: float | None, first: int, last: int, frames: int | None = None
+) -> "scsr_opt.camera.white.White":
+    """White of what is looked at from key frame `first` to `last`: `white` if it is given, or as found in the frames
+    around them, `frames` or the usual number."""
+    from scsr_opt.camera.recording import USUAL_FRAMES
+    from scsr_opt.camera.white import White, find_white_around
+
+    if white is not None:
+        return White.given(white)
+    return find_white_around(recording, first, last, USUAL_FRAMES if frames is None else frames)
 
 
 def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:

@@ -5,11 +5,25 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, moments, progress
+from scsr_opt.cli.options import (
+    File,
+    Overwrite,
+    Quiet,
+    Reading,
+    ShownWhite,
+    Whole,
+    check_outputs,
+    key_frame,
+    moments,
+    progress,
+    shown_white,
+    white_of_picture,
+)
 from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 
 if TYPE_CHECKING:
+    import scsr_opt.calibration.maps
     import scsr_opt.camera
 
 Method = Literal["tfp", "tfi", "stp"]
@@ -53,25 +67,27 @@ def play(
     rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = _RATE,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    white: ShownWhite = None,
     reading: Reading | None = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
     """Show a recording as a picture of one moment, or as a film.
 
-    Written are linear intensities, 1 = white, unless --gamma is given. If all is dark, lower --white-rate: the
-    rate to use for white is what `scsr info` calls the brightest.
+    Films and 8-bit pictures are linear, unless --gamma is given, up to a white that the recording shows, or --white.
+    Other files are absolute, 1 = white.
     """
     from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
 
     target = Path(f"{file.stem}_{method}.png") if output is None else output
     is_film = target.suffix.lower() in FILM_ENDINGS
     if is_film:
-        check_film(target, rate=rate, gamma=gamma)
+        check_film(target, rate=rate, gamma=gamma, white=1.0 if white is None else white)
         if key is not None or bits is not None:
             raise InputError(f"--key and --bits are for pictures, but {target} is a film: leave them out.")
     else:
-        PictureFormat.of(target, bits=bits, gamma=gamma)
+        absolute = PictureFormat.of(target, bits=bits, gamma=gamma).absolute
+        white_of_picture(target, bits, white)
         if start or stop is not None or step is not None or rate != _RATE:
             raise InputError(
                 f"--start, --stop, --step and --rate are for films, but {target} is a picture: give --key for the "
@@ -80,29 +96,45 @@ def play(
     if window is not None and method != "tfp":
         raise InputError(f"--window is for --method tfp, but the method is {method}: leave it out.")
     check_outputs([file], overwrite, output=target)
-    recording = (reading or Reading()).open(file)
-    player = _Player(recording, method, window)
+    reading = reading or Reading()
+    recording, crop = reading.whole(file)
+    maps = reading.maps()
+    if crop is not None:
+        recording, maps = recording.crop(*crop), None if maps is None else maps.crop(*crop)
+    player = _Player(recording, method, window, maps)
     if is_film:
         keys = moments(recording, start, stop, step, about=_PICTURES)
-        count = write_film(target, player.film(keys, progress(quiet)), rate=rate, gamma=gamma)
+        level = shown_white(recording, white, keys[0], keys[-1])
+        count = write_film(target, player.film(keys, progress(quiet)), rate=rate, gamma=gamma, white=level.level)
         made = f"{count} pictures of frames {keys[0]} to {keys[-1]}, every {keys.step}."
     else:
         moment = key_frame(recording, key)
-        write_picture(target, player.picture(moment), bits=bits, gamma=gamma)
+        level = None if absolute else shown_white(recording, white, moment, moment)
+        shown = 1.0 if level is None else level.level
+        write_picture(target, player.picture(moment), bits=bits, gamma=gamma, white=shown)
         made = f"frame {moment} by {method}."
     if not quiet:
         print(f"{target}: {made}")
+        if level is not None:
+            print(level.sentence)
     return 0
 
 
 class _Player:
     """Playback of a recording at any frame; only the frames around it are read."""
 
-    def __init__(self, recording: "scsr_opt.camera.Recording", method: Method, window: int | None):
+    def __init__(
+        self,
+        recording: "scsr_opt.camera.Recording",
+        method: Method,
+        window: int | None,
+        maps: "scsr_opt.calibration.maps.Calibration | None" = None,
+    ):
         from scsr_opt.camera.playback import WINDOW_FRAMES
 
         self._recording = recording
         self._method = method
+        self._maps = maps
         self._window = min(WINDOW_FRAMES, recording.frames) if window is None else window
         if not 1 <= self._window <= recording.frames:
             raise InputError(
@@ -110,6 +142,10 @@ class _Player:
             )
 
     def picture(self, moment: int) -> Any:
+        shown = self._as_recorded(moment)
+        return shown if self._maps is None else self._maps.corrected(shown, self._recording.white_rate)
+
+    def _as_recorded(self, moment: int) -> Any:
         from scsr_opt import camera
 
         frames = self._window if self._method == "tfp" else _CONTEXT

@@ -1,12 +1,25 @@
 """`scsr solve`: a recording to a super-resolved picture."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, progress, say_failure
+from scsr_opt.cli.options import (
+    File,
+    Overwrite,
+    Quiet,
+    Reading,
+    ShownWhite,
+    Whole,
+    check_outputs,
+    key_frame,
+    progress,
+    say_failure,
+    white_of_picture,
+)
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
@@ -36,6 +49,7 @@ def solve(
     ] = None,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    white: ShownWhite = None,
     report: Annotated[Path | None, Parameter(help="Also write a report in numbers (.json).")] = None,
     figure: Annotated[
         Path | None,
@@ -51,13 +65,15 @@ def solve(
 ) -> int:
     """Solve for the super-resolved picture of one moment.
 
-    The picture has SCALE times the sensor's rows and columns. It is linear intensity, 1 = white, cut to 0..1 except in
-    floating-point files; an .npz also holds the motion that was used. Frames before and after the key frame add detail
+    The picture has SCALE times the sensor's rows and columns. An 8-bit .png is linear up to a white that the recording
+    shows, or --white; other files are absolute, 1 = white, cut to 0..1 except in floating-point files. An .npz also
+    holds the motion that was used. Frames before and after the key frame add detail
     through the motion between them.
     """
     from scsr_opt.report.pictures import PictureFormat
 
-    PictureFormat.of(output, bits=bits, gamma=gamma)
+    absolute = PictureFormat.of(output, bits=bits, gamma=gamma).absolute
+    white_of_picture(output, bits, white, also_for=figure)
     _check_ending("report", report, (".json",))
     _check_ending("figure", figure, FIGURE_ENDINGS)
     check_outputs([file], overwrite, output=output, report=report, figure=figure)
@@ -69,9 +85,10 @@ def solve(
     started = time.perf_counter()
     recording, crop = (reading or Reading()).whole(file)
     moment = key_frame(recording, key)
-    choices = solving.arguments(recording, scale, crop)
+    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
 
     from scsr_opt import reconstruct
+    from scsr_opt.camera.white import White
     from scsr_opt.report.summary import Report
 
     read = time.perf_counter()
@@ -84,6 +101,8 @@ def solve(
         **choices,
     )
     seconds = {"read": read - started, "solve": time.perf_counter() - read}
+    if white is not None:
+        solution = replace(solution, white=White.given(white))
     said = Report.of(solution, seconds=seconds)
     if report is not None:
         said.write(report)
@@ -101,6 +120,7 @@ def solve(
                 [
                     *said.lines(),
                     *_camera_lines(solution.diagnostics),
+                    *([] if absolute and figure is None else [solution.white.sentence]),
                     *(_explained(solution) if explain else []),
                     *(str(path) for path in (output, report, figure) if path is not None),
                 ]

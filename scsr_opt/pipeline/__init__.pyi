@@ -1,4 +1,5 @@
 from .settings import (
+    BadPixelSettings,
     GainSettings,
     MotionSettings,
     OpticsSettings,
@@ -10,9 +11,11 @@ from .settings import (
     SequenceSettings,
     StrengthSettings,
     TileSettings,
+    WhiteSettings,
 )
 
 __all__ = [
+    "BadPixelSettings",
     "GainSettings",
     "MotionSettings",
     "OpticsSettings",
@@ -24,4 +27,5 @@ __all__ = [
     "SequenceSettings",
     "StrengthSettings",
     "TileSettings",
+    "WhiteSettings",
 ]

@@ -99,7 +99,7 @@ class Assembly:
 
 
 def assemble_task(task: Task) -> Assembly:
-    """Motion, gains, samples, strength and problem of a task, in this order.
+    """Motion, bad pixels, gains, samples, strength and problem of a task, in this order.
 
     **Raises:** `InputError` where the lens is to be estimated and the recording cannot tell it.
     """
@@ -120,6 +120,11 @@ def assemble_task(task: Task) -> Assembly:
         rest_task = executor.submit(task.estimate_gain_at_rest) if early else None
         motion = task.estimate_motion(frames)
         noise, image = noise_task.result(), image_task.result()
+    if options.finds_bad_pixels:
+        resting = task.find_resting(frames, motion)
+        task = task.without(resting)
+        if resting.mask.any():  # all that was found may have to do with them
+            return assemble_task(task)
     del frames  # hundreds of megabytes where the sensor is large
     lap("motion")
 
@@ -169,7 +174,11 @@ def assemble_task(task: Task) -> Assembly:
         image=image,
         near=None,
         term=None,
-        diagnostics=Diagnostics(gain_spread_at_rest=spread_at_rest, seconds=seconds),
+        diagnostics=Diagnostics(
+            gain_spread_at_rest=spread_at_rest,
+            bad_pixels=None if task.bad is None else task.bad.numbers,
+            seconds=seconds,
+        ),
     )
     if not assembly.usable:
         return assembly

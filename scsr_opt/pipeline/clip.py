@@ -3,7 +3,7 @@
 from typing import NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
-from jaxtyping import Bool, Shaped
+from jaxtyping import Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt._validation import whole
@@ -19,6 +19,7 @@ class Clip(NamedTuple):
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
     - `start`: frame of the recording that `spikes[0]` is.
+    - `dark`: (h, w), intensity that each pixel shows without any light; None for 0.
     """
 
     spikes: Shaped[np.ndarray, "T h w"]
@@ -26,6 +27,7 @@ class Clip(NamedTuple):
     white_rate: float
     bad_pixels: Bool[np.ndarray, "h w"] | None
     start: int = 0
+    dark: Float[np.ndarray, "h w"] | None = None
 
     @classmethod
     def around(
@@ -63,7 +65,15 @@ class Clip(NamedTuple):
         """The key frame, counted from the recording's first frame."""
         return self.start + self.key
 
+    def without(self, bad: Bool[np.ndarray, "h w"]) -> "Clip":
+        """Clip in which these pixels are bad, too."""
+        known = bad if self.bad_pixels is None else bad | self.bad_pixels
+        spikes = self.spikes.copy()
+        spikes[:, bad] = 0
+        return self._replace(spikes=spikes, bad_pixels=known)
+
     def part(self, rows: slice, columns: slice) -> "Clip":
         """Clip of a rectangle of the sensor, with these frames."""
         bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
-        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad)
+        dark = None if self.dark is None else self.dark[rows, columns]
+        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad, dark=dark)

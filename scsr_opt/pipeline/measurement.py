@@ -150,6 +150,8 @@ def measure(
             samples, path, frames=frames, white_rate=clip.white_rate, ends=sampling.ends, settings=settings
         )
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
+    if clip.dark is not None:
+        samples = eqx.tree_at(lambda s: s.value, samples, samples.value - clip.dark[samples.row, samples.column])
     if isinstance(sampling, Intervals) and sampling.noise is not None:
         weight = sampling.noise.weights(samples, _mean_light(clip, settings.light_smoothing_px))
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)

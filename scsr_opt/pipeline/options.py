@@ -10,9 +10,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from scsr_opt._arrays import as_array, own
-from scsr_opt._validation import check_type, flag, picture_shape, pixel_gain, prior_strength, rectangle, whole
-from scsr_opt.camera.recording import USUAL_FRAMES, Recording, checked_white_rate
+from scsr_opt._arrays import as_array
+from scsr_opt._validation import (
+    check_type,
+    flag,
+    picture_shape,
+    pixel_dark,
+    pixel_gain,
+    prior_strength,
+    rectangle,
+    whole,
+)
+from scsr_opt.calibration.bad_pixels import BadPixels
+from scsr_opt.camera.recording import USUAL_FRAMES, Recording, checked_mask, checked_white_rate
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.estimators.base import Estimator
@@ -75,13 +85,17 @@ class Options:
     - `white_rate`: spikes per frame of a pixel at intensity 1; that of the recording if None.
     - `motion`: at the key frame: a `Motion` (`Motion.constant`, `Motion.of_velocity`, `estimate_motion`), or an
       `Estimator` (`Still`, `Global`, `Dense`, `Automatic`, …). None: `Automatic`.
-    - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording).
+    - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording). "auto", the
+      default, finds dead and hot pixels and dust from the recording (`scsr_opt.calibration.bad_pixels`); None for those
+      of the recording only.
     - `samples`: how the Y_i are made: `Intervals()` if None, or `Windows(length)`, spikes counted over `length` frames.
     - `gain`: of each pixel, (h, w); None for 1; or "blind" to find it from the recording: where the scene moves by a
       pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
       (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
       chance (`GainSettings.pattern_spread`). Where gains are found or given, motion is estimated over them: a pattern
       rests.
+    - `dark`: (h, w), spikes per frame that each pixel fires without any light; None for 0. It is subtracted from all
+      that is measured.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
@@ -93,8 +107,8 @@ class Options:
     - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
     - `shortcuts`: the work that is left out where a scene does not need it.
     - `crop`: (top, left, height, width) of the part of the sensor that is solved for, sensor pixels; all if None.
-      `bad_pixels` and `gain` may be those of the whole sensor or of the part; `motion`, `optics` and `state` are those
-      of the part.
+      `bad_pixels`, `gain` and `dark` may be those of the whole sensor or of the part; `motion`, `optics` and `state`
+      are those of the part.
     - `keep_images`: every stage keeps its pictures.
     - `settings`: thresholds of every stage, which rarely need to be changed (docs/settings.md).
     """
@@ -102,9 +116,10 @@ class Options:
     frames: SupportsIndex = USUAL_FRAMES
     white_rate: SupportsFloat | None = None
     motion: Motion | Estimator | None = None
-    bad_pixels: ArrayLike | None = None
+    bad_pixels: ArrayLike | BadPixels | Literal["auto"] | None = "auto"
     samples: SamplingRule | None = None
     gain: ArrayLike | Literal["auto", "blind"] | None = "auto"
+    dark: ArrayLike | None = None
     optics: Blur | Literal["estimate"] | None = None
     prior: Prior | None = None
     strength: SupportsFloat | None = None
@@ -145,6 +160,7 @@ class Options:
         gain = self.gain
         if not (self.finds_gain or gain is None):
             gain = pixel_gain(cut_out(gain, sensor, crop), height, width)
+        dark = None if self.dark is None else pixel_dark(cut_out(self.dark, sensor, crop), height, width)
         check_type(self.samples, SamplingRule, "samples", "Intervals()")
         check_type(self.prior, Prior, "prior", "HuberTotalVariation()")
         check_type(self.solver, Solver, "solver", "FISTA()")
@@ -158,7 +174,11 @@ class Options:
         prior = default_prior(scale, self.settings.learned_prior_scale) if self.prior is None else self.prior
         if self.solver is not None:
             self.solver.check(prior)
-        motion, bad = self.motion, cut_out(self.bad_pixels, sensor, crop)
+        motion, bad = self.motion, self.bad_pixels
+        if isinstance(bad, str) and bad != "auto":
+            raise InputError(f"bad_pixels is {shown(bad)}; it must be 'auto', None, or a mask of shape {sensor}.")
+        if not self.finds_bad_pixels and bad is not None:
+            bad = bad_pixels_in(bad, sensor, crop)
         if isinstance(motion, Motion):
             motion = validate_motion(motion, height, width)
         elif not isinstance(motion, Estimator | None):
@@ -174,8 +194,9 @@ class Options:
             self,
             samples=Intervals() if self.samples is None else self.samples,
             motion=motion,
-            bad_pixels=None if bad is None else own(bad, "bad_pixels"),
+            bad_pixels=bad,
             gain=gain,
+            dark=dark,
             crop=crop,
             prior=prior,
             strength=strength,
@@ -196,6 +217,11 @@ class Options:
         return isinstance(self.optics, str) and self.optics == "estimate"
 
     @property
+    def finds_bad_pixels(self) -> bool:
+        """True where bad pixels are to be found from the recording."""
+        return isinstance(self.bad_pixels, str) and self.bad_pixels == "auto"
+
+    @property
     def finds_gain(self) -> bool:
         """True where gains of pixels are to be found from the recording."""
         return isinstance(self.gain, str) and self.gain in ("auto", "blind")
@@ -214,6 +240,16 @@ class Options:
     def samples_apart(self) -> bool:
         """True where no samples are merged: with a robust loss, the mean of several would hide an outlier."""
         return self.robust is not None
+
+
+def bad_pixels_in(bad: Any, sensor: tuple[int, int], crop: tuple[int, int, int, int] | None) -> BadPixels:
+    """Bad pixels that were given, of the sensor or of `crop`, in that part. **Raises:** `InputError` if no mask."""
+    found = bad.kind if isinstance(bad, BadPixels) else None
+    part = cut_out(bad if found is None else found, sensor, crop)
+    shape = sensor if crop is None else crop[2:]
+    if found is not None and part.shape == shape:
+        return BadPixels(part.copy())
+    return BadPixels.given(checked_mask(part, shape))
 
 
 def cut_out(values: Any, sensor: tuple[int, int], crop: tuple[int, int, int, int] | None) -> Any:

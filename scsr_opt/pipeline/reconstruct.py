@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.saturation import share_saturated, spike_counts
+from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError, SolveError
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
@@ -95,11 +96,19 @@ def assemble(
     return assembly.problem()
 
 
-def solve(assembly: Assembly, state: Any = None, progress: Progress | None = None) -> Solution:
-    """All of `reconstruct` from the first iteration on: solve, then update and solve again."""
+def solve(
+    assembly: Assembly, state: Any = None, progress: Progress | None = None, white: White | None = None
+) -> Solution:
+    """All of `reconstruct` from the first iteration on: solve, then update and solve again.
+
+    `white`: of what is looked at; that of the clip if None.
+    """
+    white = assembly.task.find_white() if white is None else white
     if not assembly.usable:
         nothing = np.zeros(assembly.image.shape, np.float32)
-        return _solution(assembly, image=nothing, status=Status.no_samples, diagnostics=assembly.diagnostics)
+        return _solution(
+            assembly, image=nothing, status=Status.no_samples, diagnostics=assembly.diagnostics, white=white
+        )
     began = time.perf_counter()
     assembly = replace(assembly, method=replace(assembly.method, progress=progress))
     found = assembly.solve(state)
@@ -134,6 +143,7 @@ def solve(assembly: Assembly, state: Any = None, progress: Progress | None = Non
         stages=numbered,
         diagnostics=diagnostics,
         tiles=outcome.tiles,
+        white=white,
         state=outcome.state,
     )
 
@@ -142,4 +152,6 @@ def _solution(assembly: Assembly, **found: Any) -> Solution:
     task = assembly.task
     known = {"recording": task.recording, "scale": task.scale, "key": task.clip.key_frame}
     known |= {"white_rate": task.clip.white_rate, "crop": task.options.crop}
-    return Solution(**known, motion=assembly.motion, gain=assembly.gain, scene=assembly.scene, **found)
+    return Solution(
+        **known, motion=assembly.motion, gain=assembly.gain, bad_pixels=task.bad, scene=assembly.scene, **found
+    )

@@ -22,7 +22,9 @@ from numpy.typing import ArrayLike
 
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import whole
+from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.white import White, find_white_around
 from scsr_opt.errors import InputError, shown
 from scsr_opt.motion.estimators.evidence import contradicted
 from scsr_opt.motion.estimators.frames import MotionFrames
@@ -62,9 +64,9 @@ def reconstruct_sequence(
       `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
     - `keys`: frames, best in order and a few frames apart; one may come again.
 
-    **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity, 1 = white. Where
-    `.diagnostics.motion_carried` is true, `.motion` is that of a picture before, carried on: not always what would be
-    estimated there.
+    **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity, 1 = white; all have one `.white`.
+    Where `.diagnostics.motion_carried` is true, `.motion` is that of a picture before, carried on: not always what
+    would be estimated there.
 
     **Raises:** `InputError` as `reconstruct`, for `key` and `state`, which are found picture by picture, and, when it
     is called, for keys that are no frames of the recording.
@@ -92,6 +94,28 @@ def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
     if not frames:
         raise InputError(f"keys is {shown(keys)}; it must be the frames of the pictures: [50], or range(50, 100, 5).")
     return tuple(whole(key, f"keys[{number}]", 0, recording.frames - 1) for number, key in enumerate(frames))
+
+
+def _bad_pixels(task: Task) -> BadPixels:
+    """Bad pixels for all pictures of a sequence, as its middle one finds them."""
+    frames = task.motion_frames(task.options.known_gain)
+    bad = task.without(task.find_resting(frames, task.estimate_motion(frames))).bad
+    return BadPixels.none(task.clip.shape) if bad is None else bad
+
+
+def _white(recording: Recording, keys: tuple[int, ...], options: Options) -> White:
+    """White of all pictures of a sequence, from the light of all their frames."""
+    part = recording if options.crop is None else recording.crop(*options.crop)
+    frames, rate = whole(options.frames, "frames", 1), options.white_rate
+    return find_white_around(
+        part,
+        min(keys),
+        max(keys),
+        frames,
+        white_rate=None if rate is None else float(rate),
+        bad_pixels=options.bad_pixels.mask if isinstance(options.bad_pixels, BadPixels) else None,
+        settings=options.settings.white,
+    )
 
 
 class _Followed(NamedTuple):
@@ -130,7 +154,9 @@ def _pictures(
     options: Options,
     progress: Progress | None,
 ) -> Generator[Solution, None, None]:
-    settings = options.settings.sequence
+    if options.finds_bad_pixels:
+        options = replace(options, bad_pixels=_bad_pixels(task_of(recording, scale, keys[len(keys) // 2], options)))
+    settings, white = options.settings.sequence, _white(recording, keys, options)
 
     def moments(
         wanted: Iterable[SupportsIndex], followed: _Followed | None
@@ -168,7 +194,7 @@ def _pictures(
     while done < len(keys):
         with closing(_ahead(assemblies(_ahead(moments(keys[done:], followed))))) as steps:
             for now, assembly in steps:
-                solution = solve(assembly, _start(now, assembly, before), progress)
+                solution = solve(assembly, _start(now, assembly, before), progress, white)
                 carried = replace(solution.diagnostics, motion_carried=now.carried is not None)
                 solution = replace(solution, diagnostics=carried)
                 followed = now.followed

@@ -7,7 +7,8 @@ that changes. docs/settings.md says how to change one.
 from dataclasses import dataclass, field
 
 from scsr_opt._settings import Settings
-from scsr_opt.calibration.settings import GainSettings, OpticsSettings
+from scsr_opt.calibration.settings import BadPixelSettings, GainSettings, OpticsSettings
+from scsr_opt.camera.white import WhiteSettings
 from scsr_opt.motion.settings import MotionSettings
 from scsr_opt.solvers.settings import TileSettings
 
@@ -193,6 +194,8 @@ class PipelineSettings(Settings):
 
     motion: MotionSettings = field(default_factory=MotionSettings)
     """Estimation of motion, where no estimator is given."""
+    bad_pixels: BadPixelSettings = field(default_factory=BadPixelSettings)
+    """Bad pixels, where they are to be found."""
     gain: GainSettings = field(default_factory=GainSettings)
     """Gains of the pixels, where they are to be found."""
     optics: OpticsSettings = field(default_factory=OpticsSettings)
@@ -217,3 +220,5 @@ class PipelineSettings(Settings):
     """Summary of the scene for people."""
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     """Pictures of a sequence, each from the one before."""
+    white: WhiteSettings = field(default_factory=WhiteSettings)
+    """White of what is looked at."""

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.recording import Recording
+from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.pipeline.scene_summary import SceneSummary
@@ -32,6 +34,7 @@ class Diagnostics:
       where they lie the picture is a lower bound.
     - `gain_spread`, `gain_spread_at_rest`: standard deviation of the pixels' gains where the scene moves by a pixel,
       and elsewhere.
+    - `bad_pixels`: how many were left out, by kind (`PixelKind`): given, dead, hot, isolated, resting.
     - `optics_sigma`: of the lens that was estimated, sensor pixels.
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
     - `first_iterations`: where Eq. 4 was solved twice (`ridge-centred`), iterations of the first solve.
@@ -48,6 +51,7 @@ class Diagnostics:
     saturated: float | None = None
     gain_spread: float | None = None
     gain_spread_at_rest: float | None = None
+    bad_pixels: dict[str, int] | None = None
     optics_sigma: float | None = None
     motion_carried: bool | None = None
     first_iterations: int | None = None
@@ -66,8 +70,11 @@ class Solution:
     - `status`: how it ended. `stages`: one record per iteration. `diagnostics`: numbers by name.
     - `motion`: the motion that was used; None where there was none to use.
     - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
+    - `bad_pixels`: of the sensor, or of `crop`, that were not used, and why; None where all were.
     - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
     - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
+    - `white`: intensity that is shown as white in what is looked at: 8-bit PNG, figures, films. Those of one sequence
+      have one.
     - `state`: what a solve of a similar problem can start from (`reconstruct(…, state=…)`).
     """
 
@@ -82,8 +89,10 @@ class Solution:
     diagnostics: Diagnostics = Diagnostics()
     motion: Motion | None = field(default=None, repr=False)
     gain: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    bad_pixels: BadPixels | None = field(default=None, repr=False)
     scene: SceneSummary | None = field(default=None, repr=False)
     tiles: TileIterations | None = field(default=None, repr=False)
+    white: White = White()
     state: Any = field(default=None, repr=False)
 
     @property
@@ -118,17 +127,29 @@ class Solution:
 
         return Report.of(self)
 
-    def save(self, path: str | os.PathLike[str], *, bits: int | None = None, gamma: float = 1.0) -> None:
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        bits: int | None = None,
+        gamma: float = 1.0,
+        white: float | None = None,
+    ) -> None:
         """Writes the picture by the ending of `path` (`scsr_opt.report.write_picture`); an `.npz` also holds velocity,
         confidence, scale and key frame.
 
+        `white`: intensity of the largest grey level of an 8-bit PNG; that of the solution if None. Other files are
+        absolute.
+
         **Raises:** `InputError` if the file cannot be written, or the solve failed and there is no picture.
         """
-        from scsr_opt.report.pictures import write_picture
+        from scsr_opt.report.pictures import PictureFormat, write_picture
 
         if not self.status.usable:
             raise InputError(f"{path} was not written, as the solve failed: {self.status.clause}.")
         extras = {"velocity": self.velocity, "confidence": self.confidence, "scale": self.scale, "key": self.key}
         extras["crop"] = self.crop
         known = {name: value for name, value in extras.items() if value is not None}
-        write_picture(path, self.image, bits=bits, gamma=gamma, extras=known)
+        if white is None:
+            white = 1.0 if PictureFormat.of(path, bits=bits, gamma=gamma).absolute else self.white.level
+        write_picture(path, self.image, bits=bits, gamma=gamma, white=white, extras=known)

@@ -308,7 +308,8 @@ class StrengthSearch:
         scale, (frames, height, width) = self.scale, part.spikes.shape
         rows, columns = (of.reshape(-1) for of in np.indices((height, width), np.int32))
         good = np.float32(1) if part.bad_pixels is None else ~part.bad_pixels
-        over = np.float32(part.white_rate) * (np.float32(1) if gain is None else gain)
+        over = np.float32(1) if gain is None else gain
+        dark = np.float32(0) if part.dark is None else part.dark
 
         def placed(sums: Float[np.ndarray, "2 h w"]) -> PlacedSamples:
             light, time = sums
@@ -317,7 +318,9 @@ class StrengthSearch:
                 column=columns,
                 start=np.zeros(rows.size, np.float32),
                 stop=np.full(rows.size, frames - 1, np.float32),
-                value=(light / np.where(time > 0, time, 1) / over).reshape(-1).astype(np.float32),
+                value=((light / np.where(time > 0, time, 1) / np.float32(part.white_rate) - dark) / over)
+                .reshape(-1)
+                .astype(np.float32),
                 weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
             ).padded()
             shape = (scale * height, scale * width)

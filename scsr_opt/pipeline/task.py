@@ -1,7 +1,7 @@
 """`Task`: a clip, a scale and options, and the stages that need nothing else (motion, samples, scene summary)."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import SupportsIndex
 
 import numpy as np
@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike
 
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import whole
+from scsr_opt.calibration.bad_pixels import BadPixels, isolated_pixels, resting_pixels
 from scsr_opt.calibration.gain_network import gain_at_rest
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.sampling_rules import Intervals
+from scsr_opt.camera.saturation import spike_counts
+from scsr_opt.camera.white import White, find_white
 from scsr_opt.motion.estimators.automatic import Automatic, corrected_frames, motion_in
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
@@ -32,7 +35,7 @@ class Task:
     """One picture that is to be solved for.
 
     **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame, which
-    took `reading_seconds` to read.
+    took `reading_seconds` to read; `bad`, all pixels that are not used, None if nothing is known of any.
     """
 
     recording: Recording
@@ -40,6 +43,7 @@ class Task:
     options: Options
     clip: Clip
     reading_seconds: float = 0.0
+    bad: BadPixels | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,6 +90,56 @@ class Task:
             sampled_gains=self.options.shortcuts.sampled_gains,
             settings=self.options.settings.gain,
         )
+
+    def find_white(self) -> White:
+        """White of what is looked at, from the light of the clip."""
+        clip = self.clip
+        return find_white(
+            lambda start, stop: clip.spikes[start:stop],
+            len(clip.spikes),
+            white_rate=clip.white_rate,
+            bad_pixels=clip.bad_pixels,
+            settings=self.options.settings.white,
+        )
+
+    def without(self, found: BadPixels) -> "Task":
+        """The task in which these pixels are not used either; it looks for no others."""
+        bad = found if self.bad is None else self.bad.also(found)
+        options = replace(self.options, bad_pixels=bad)
+        clip = self.clip.without(found.mask) if found.mask.any() else self.clip
+        return replace(self, clip=clip, bad=bad if bad.mask.any() else self.bad, options=options)
+
+    def find_isolated(self) -> BadPixels:
+        """Pixels that stand out from their neighbours as nothing around does, by the spikes around the key frame."""
+        clip, settings, gain = self.clip, self.options.settings.bad_pixels, self.options.known_gain
+        crop = self.options.crop
+        part = self.recording if crop is None else self.recording.crop(*crop)
+        start, stop = part.around(clip.key_frame, settings.evidence_frames)
+        if stop - start <= len(clip.spikes):
+            spikes = clip.spikes
+        else:
+            spikes = part.window(start, stop)
+        count = spike_counts(spikes)
+        return isolated_pixels(
+            count if gain is None else count / gain, len(spikes), bad=clip.bad_pixels, settings=settings
+        )
+
+    def find_resting(self, frames: MotionFrames | None, motion: Motion) -> BadPixels:
+        """Pixels that rest on the sensor while the scene moves; `frames`: its short pictures, where they are known."""
+        clip, settings = self.clip, self.options.settings.bad_pixels
+        if float(motion.speed.max()) * len(clip.spikes) >= settings.least_motion_px:
+            frames = self.motion_frames(self.options.known_gain) if frames is None else frames
+            if frames is not None:
+                return resting_pixels(
+                    np.asarray(frames.picture),
+                    np.asarray(frames.after),
+                    np.asarray(motion.velocity),
+                    np.asarray(motion.acceleration),
+                    spikes=clip.white_rate * len(clip.spikes),
+                    bad=clip.bad_pixels,
+                    settings=settings,
+                )
+        return BadPixels.none(clip.shape)
 
     def trajectory(self, motion: Motion) -> Trajectory:
         """The motion followed through all frames of the clip."""
@@ -168,5 +222,15 @@ def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIn
     scale = whole(scale, "scale", 1)
     options = options.validated(recording, scale)
     part = recording if options.crop is None else recording.crop(*options.crop)
-    clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=options.bad_pixels)
-    return Task(recording, scale, options, clip, time.perf_counter() - began)
+    given = options.bad_pixels if isinstance(options.bad_pixels, BadPixels) else None
+    mask = None if given is None or not given.mask.any() else given.mask
+    clip = Clip.around(part, key, frames=options.frames, white_rate=options.white_rate, bad_pixels=mask)
+    if options.dark is not None:
+        clip = clip._replace(dark=np.asarray(options.dark) / np.float32(clip.white_rate))
+    bad = None if clip.bad_pixels is None else BadPixels.given(clip.bad_pixels)
+    if bad is not None and given is not None:
+        bad = given.also(bad)
+    task = Task(recording, scale, options, clip, bad=bad)
+    if options.finds_bad_pixels:
+        task = replace(task.without(task.find_isolated()), options=options)
+    return replace(task, reading_seconds=time.perf_counter() - began)

@@ -21,6 +21,8 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from scsr_opt.calibration.bad_pixels import BadPixels
+from scsr_opt.camera.white import white_of
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.scene_summary import TileKind
 from scsr_opt.pipeline.solution import Solution
@@ -81,7 +83,8 @@ def figure(
     frames = source.window(start, stop)
     playback = np.asarray(tfp(frames, solution.key - start, window=window, white_rate=solution.white_rate))
     columns = {f"Playback (TFP, {window} frames), bicubic ×{scale}": bicubic(playback, scale)}
-    columns[f"Reconstruction ×{scale}"] = np.asarray(solution.image)
+    white = "" if solution.white.level == 1 else f", white {solution.white.level:.3g}"
+    columns[f"Reconstruction ×{scale}{white}"] = np.asarray(solution.image)
     if truth is not None:
         columns["Truth"] = np.asarray(truth)
     return compare(columns, solution, scale=scale, title=title)
@@ -98,7 +101,8 @@ def compare(
     """Pictures of one scene side by side, whole and enlarged; below, motion and convergence of `solution` if given.
 
     **Arguments:**
-    - `columns`: name → picture (H, W), all of one size. They share one grey scale, so that brightness compares.
+    - `columns`: name → picture (H, W), all of one size. They share one grey scale, so that brightness compares: up to
+      the white of `solution`, or else of the picture that has the middle one.
     - `scale`: HR pixels per sensor pixel.
     - `crop`: (top, left, height, width) in pixels of the part to enlarge; chosen by `detailed_part` if None.
     """
@@ -107,7 +111,7 @@ def compare(
     height, width = judged.shape
     velocity = None if solution is None or solution.velocity is None else np.asarray(solution.velocity)
     top, left, tall, wide = detailed_part(judged, velocity, scale=scale) if crop is None else crop
-    white = _white_level(pictures.values())
+    white = solution.white.level if solution is not None else _white_level(pictures.values())
 
     page = 10.0 if len(pictures) < 3 else 13.0
     column = (page - 2 * _MARGIN - (len(pictures) - 1) * _GUTTER) / len(pictures)
@@ -138,7 +142,7 @@ def compare(
         if solution is not None:
             shape = (height // scale, width // scale)
             of_motion = min(bottom * width / height, 0.36 * page)
-            _motion(drawn, velocity, shape, _MARGIN, third, of_motion)
+            _motion(drawn, velocity, shape, _MARGIN, third, of_motion, solution.bad_pixels)
             _convergence(drawn, solution, page / 2 + 0.6, third, page / 2 - 0.6 - _MARGIN, bottom)
     return drawn
 
@@ -182,7 +186,7 @@ def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
         for kind in shown:
             if (colour := _OF_KIND[kind]) is not None:
                 colours[scene.kind == kind] = to_rgba(colour, 0.35)
-        _tiled(axes, solution.image, colours, scene.tile * solution.scale)
+        _tiled(axes, solution.image, solution.white.level, colours, scene.tile * solution.scale)
         named = _as_text(title or "What each tile is")
         axes.set_title(named, loc="left", fontsize=10, parse_math=False)
         if tiles is not None:
@@ -191,7 +195,7 @@ def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
             iterations = tiles.global_iterations + tiles.tile_iterations
             range_ = Normalize(tiles.global_iterations, max(int(iterations.max()), tiles.global_iterations + 1))
             shades = matplotlib.colormaps["viridis"](range_(iterations), alpha=0.5 * (tiles.tile_iterations > 0))
-            _tiled(beside, solution.image, shades, tiles.tile_side)
+            _tiled(beside, solution.image, solution.white.level, shades, tiles.tile_side)
             beside.set_title(f"Iterations: {tiles.global_iterations}, and more where coloured", loc="left", fontsize=10)
             bar = _axes(drawn, x + across + _GUTTER, top, 0.15, tall)
             drawn.colorbar(ScalarMappable(range_, "viridis"), cax=bar, alpha=0.75)
@@ -210,10 +214,12 @@ def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
     return drawn
 
 
-def _tiled(axes: Axes, image: Num[Any, "H W"], colours: Float[np.ndarray, "rows columns 4"], side: int) -> None:
+def _tiled(
+    axes: Axes, image: Num[Any, "H W"], white: float, colours: Float[np.ndarray, "rows columns 4"], side: int
+) -> None:
     """A picture with each of its tiles of side × side pixels in a colour."""
     height, width = image.shape
-    _picture(axes, image, _white_level([image]))
+    _picture(axes, image, white)
     rows, columns, _ = colours.shape
     extent = (-0.5, columns * side - 0.5, rows * side - 0.5, -0.5)
     axes.imshow(colours, extent=extent, interpolation="nearest", aspect="auto")
@@ -263,12 +269,11 @@ def _as_text(title: str) -> str:
 
 
 def _white_level(pictures: Any) -> float:
-    """The intensity shown as white: near the brightest of the pictures, so that dim recordings can be seen.
+    """The intensity shown as white, by the rule for recordings (`white_of`).
 
-    The middle one of them decides: one with outliers would leave the others dark.
+    The middle one of the pictures decides: one with outliers would leave the others dark.
     """
-    levels = [float(np.percentile(np.nan_to_num(image), 99.7)) for image in pictures]
-    return max(float(np.median(levels)), 1e-3)
+    return float(np.median([white_of(np.nan_to_num(image).ravel()).level for image in pictures]))
 
 
 def _axes(drawn: Figure, x: float, y: float, wide: float, tall: float) -> Axes:
@@ -285,8 +290,16 @@ def _picture(axes: Axes, image: Num[Any, "H W"], white: float) -> None:
         spine.set_visible(False)
 
 
-def _motion(drawn: Figure, velocity: Any, shape: tuple[int, int], x: float, y: float, across: float) -> None:
-    """The velocity field `across` inches wide, its legend to the right of it."""
+def _motion(
+    drawn: Figure,
+    velocity: Any,
+    shape: tuple[int, int],
+    x: float,
+    y: float,
+    across: float,
+    bad: BadPixels | None,
+) -> None:
+    """The velocity field `across` inches wide, with bad pixels as dots; its legend to the right of it."""
     tall = across * shape[0] / shape[1]
     axes = _axes(drawn, x, y, across, tall)
     field = np.zeros((2, *shape), np.float32) if velocity is None else velocity
@@ -296,7 +309,13 @@ def _motion(drawn: Figure, velocity: Any, shape: tuple[int, int], x: float, y: f
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set(visible=True, color=_FAINT, linewidth=0.6)
-    axes.set_title("Motion: none" if fastest == 0.0 else "Motion", loc="left", fontsize=10)
+    title = "Motion: none" if fastest == 0.0 else "Motion"
+    if bad is not None and bad.mask.any() and bad.mask.shape == shape:
+        row, column = np.nonzero(bad.mask)
+        axes.scatter(column, row, s=2.0, color=_INK, linewidths=0)
+        axes.set(xlim=(-0.5, shape[1] - 0.5), ylim=(shape[0] - 0.5, -0.5))
+        title += f"; {row.size:,} bad pixel{'s' if row.size > 1 else ''}"
+    axes.set_title(title, loc="left", fontsize=10)
     if fastest > 0.0:
         legend = _axes(drawn, x + across + _GUTTER, y, 0.7, 0.7)
         legend.imshow(colour_wheel(), extent=(-1, 1, -1, 1))

@@ -1,8 +1,8 @@
 """Pictures to files, by ending: PNG, TIFF, NPZ, and the moving ones GIF and MP4.
 
 A picture is linear intensity, 1 = white. By default the numbers go into the file as they are, so that what is read back
-can be measured; viewers take PNG for gamma-encoded and show it darker than the scene was. `gamma` = 2.2 stores it for
-looking at.
+can be measured. What is looked at, 8-bit PNG and films, may have another `white` (`scsr_opt.camera.white`). Viewers
+take PNG for gamma-encoded and show it darker than the scene was; `gamma` = 2.2 stores it for looking at.
 """
 
 import io
@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from scsr_opt._arrays import as_array
 from scsr_opt._files import as_path, read_meanwhile, whole_file
 from scsr_opt._validation import finite
+from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError, shown
 
 PICTURE_BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".npz": (32,)}
@@ -46,17 +47,22 @@ class PictureFormat:
     - `ending`: `.png`, `.tif`, `.tiff` or `.npz`.
     - `bits`: per pixel. 8 and 16 are whole numbers, of which the largest is white; 32 is floating point, not clipped.
     - `gamma`: intensity^(1/gamma) is stored; 1 is linear. Only for whole numbers.
+    - `white`: intensity of the largest grey level. Only for 8-bit PNG; others are absolute.
     """
 
     ending: str
     bits: int
     gamma: float = 1.0
+    white: float = 1.0
 
     @classmethod
-    def of(cls, path: str | os.PathLike[str], *, bits: int | None = None, gamma: float = 1.0) -> "PictureFormat":
+    def of(
+        cls, path: str | os.PathLike[str], *, bits: int | None = None, gamma: float = 1.0, white: float = 1.0
+    ) -> "PictureFormat":
         """The format for `path`, to be asked before the picture is made.
 
-        **Raises:** `InputError` if the ending is not known or cannot have these bits, or gamma is not from 0.1 to 10.
+        **Raises:** `InputError` if the ending is not known or cannot have these bits, if gamma is not from 0.1 to 10,
+            or if white is no intensity, or not 1 where the format is absolute.
         """
         ending = as_path(path).suffix.lower()
         if ending not in PICTURE_BITS:
@@ -74,7 +80,17 @@ class PictureFormat:
         _check_gamma(gamma)
         if chosen == 32 and gamma != 1.0:
             raise InputError(f"gamma is {gamma:g}, but 32-bit pictures hold linear intensity: leave it at 1.")
-        return cls(ending, chosen, gamma)
+        made = cls(ending, chosen, gamma, White.given(white).level)
+        if made.absolute and white != 1:
+            raise InputError(
+                f"white is {white:g}, but {path} holds intensity as it is, 1 = white; only an 8-bit .png has another."
+            )
+        return made
+
+    @property
+    def absolute(self) -> bool:
+        """True where numbers in the file are intensities with 1 = white, for measuring rather than looking at."""
+        return not (self.ending == ".png" and self.bits == 8)
 
 
 def _check_gamma(gamma: float) -> None:
@@ -87,18 +103,18 @@ def _check_gamma(gamma: float) -> None:
 
 
 def quantise(
-    image: Num[Any, "H W"], *, bits: int = 8, gamma: float = 1.0
+    image: Num[Any, "H W"], *, bits: int = 8, gamma: float = 1.0, white: float = 1.0
 ) -> UInt8[np.ndarray, "H W"] | UInt16[np.ndarray, "H W"]:
-    """Linear intensity as whole numbers: 0 is black, 2^bits − 1 is intensity 1; what lies outside [0, 1] is clipped.
+    """Linear intensity as whole numbers: 0 is black, 2^bits − 1 is intensity `white`; what lies outside is
+    clipped.
 
     **Raises:** `InputError` if it is no picture, or a value is not finite.
     """
-    return _quantised(_checked(image), bits, gamma)
+    return _quantised(_checked(image), bits, gamma, white)
 
 
-def _quantised(linear: Float[np.ndarray, "H W"], bits: int, gamma: float) -> np.ndarray:
-    white = 2**bits - 1
-    stored = np.clip(linear, 0.0, 1.0) ** (1.0 / gamma) * white
+def _quantised(linear: Float[np.ndarray, "H W"], bits: int, gamma: float, white: float) -> np.ndarray:
+    stored = np.clip(linear / np.float32(white), 0.0, 1.0) ** (1.0 / gamma) * (2**bits - 1)
     return np.rint(stored).astype(np.uint8 if bits == 8 else np.uint16)
 
 
@@ -108,6 +124,7 @@ def write_picture(
     *,
     bits: int | None = None,
     gamma: float = 1.0,
+    white: float = 1.0,
     extras: dict[str, Any] | None = None,
 ) -> PictureFormat:
     """Writes a picture in the format that the ending of `path` names; a file of that name is replaced, as by
@@ -115,7 +132,7 @@ def write_picture(
 
     **Arguments:**
     - `image`: (H, W), linear intensity, 1 = white.
-    - `bits`, `gamma`: see `PictureFormat`; `bits` None takes 8 for PNG, 16 for TIFF, floating point for NPZ.
+    - `bits`, `gamma`, `white`: see `PictureFormat`; `bits` None takes 8 for PNG, 16 for TIFF, floating point for NPZ.
     - `extras`: more arrays to store beside the picture (`image`) in an NPZ; other formats leave them out.
 
     **Returns:** the format that was written.
@@ -123,9 +140,9 @@ def write_picture(
     **Raises:** `InputError` if the format is not possible, `image` is no picture (of other than two dimensions, empty,
     complex, whole numbers beyond 1), a value is not finite, or the file cannot be written.
     """
-    chosen = PictureFormat.of(path, bits=bits, gamma=gamma)
+    chosen = PictureFormat.of(path, bits=bits, gamma=gamma, white=white)
     linear = _checked(image)
-    stored = linear if chosen.bits == 32 else _quantised(linear, chosen.bits, gamma)
+    stored = linear if chosen.bits == 32 else _quantised(linear, chosen.bits, gamma, chosen.white)
     # In memory first: on a full disk some libraries say something else than that, or go by the name for the format.
     encoded = io.BytesIO()
     if chosen.ending == ".npz":
@@ -188,16 +205,17 @@ def read_picture(path: str | os.PathLike[str]) -> Float[np.ndarray, "H W"]:
     return as_intensity(pixels, str(path)).astype(np.float32)
 
 
-def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float = 1.0) -> None:
+def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float = 1.0, white: float = 1.0) -> None:
     """Finds out before the frames are made whether `path` can be written as a film.
 
     **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder; if the rate is not
-    from 0.01 to 1000 pictures per second, or gamma not from 0.1 to 10.
+    from 0.01 to 1000 pictures per second, gamma not from 0.1 to 10, or white no intensity.
     """
     least, most = _RATES
     if not least <= finite(rate) <= most:
         raise InputError(f"rate is {shown(rate)}, but it must be from {least:g} to {most:g} pictures per second.")
     _check_gamma(gamma)
+    White.given(white)
     ending = as_path(path).suffix.lower()
     if ending not in FILM_ENDINGS:
         raise InputError(
@@ -214,6 +232,7 @@ def write_film(
     *,
     rate: float = 25.0,
     gamma: float = 1.0,
+    white: float = 1.0,
 ) -> int:
     """Writes pictures as a film; they are taken one at a time, so a long film needs no more memory than a short one.
 
@@ -225,17 +244,17 @@ def write_film(
       column more, which a warning says.
     - `frames`: pictures (H, W), linear intensity, all of one size.
     - `rate`: pictures per second. A GIF counts in hundredths of a second, so it comes out at the nearest such rate.
-    - `gamma`: as in `PictureFormat`.
+    - `gamma`: as in `PictureFormat`. `white`: intensity of the largest grey level in all of its pictures.
 
     **Returns:** the number of pictures.
 
     **Raises:** `InputError` as `check_film`, if there is no frame, one is no picture (as of `write_picture`) or of
     another size than the first, or the file cannot be written. No file is written then.
     """
-    check_film(path, rate=rate, gamma=gamma)
+    check_film(path, rate=rate, gamma=gamma, white=white)
     if not isinstance(frames, Iterable):
         raise InputError(f"frames is {shown(frames)}, but a film is made of several pictures: give a list of them.")
-    pictures = _Pictures(read_meanwhile(frames), gamma)
+    pictures = _Pictures(read_meanwhile(frames), gamma, white)
     with whole_file(path) as temporary:
         first = next(pictures, None)
         if first is None:
@@ -258,8 +277,8 @@ def write_film(
 class _Pictures:
     """Iterator over the pictures of a film, checked and in 8 bits, that knows how many it has handed out."""
 
-    def __init__(self, frames: Iterator[Any], gamma: float):
-        self._frames, self._gamma = frames, gamma
+    def __init__(self, frames: Iterator[Any], gamma: float, white: float):
+        self._frames, self._gamma, self._white = frames, gamma, white
         self._shape: tuple[int, ...] | None = None
         self.count = 0
 
@@ -277,7 +296,7 @@ class _Pictures:
                 f"bring all to one size."
             )
         self.count += 1
-        return _quantised(linear, 8, self._gamma)
+        return _quantised(linear, 8, self._gamma, self._white)
 
 
 def _write_gif(path: Path, frames: Iterator[np.ndarray], rate: float) -> None:

@@ -28,9 +28,10 @@ class Report:
 
     **Fields** (all of them plain: str, int, float, bool, None, and lists and dictionaries of these):
     - `recording`: name, frames, width, height, readout_rate (Hz), white_rate (spikes per frame of white), bad_pixels
-      (how many).
+      (how many are known or were found).
     - `picture`: width, height, scale, key, crop (top, left, height, width of the part of the sensor that it shows; None
       for all of it), and the least, mean and greatest intensity (1 = white).
+    - `white`: level (intensity shown as white in what is looked at), found, reason.
     - `status`: name, message, usable.
     - `motion`: mean and greatest speed, sensor pixels per frame; None where no motion was used.
     - `diagnostics`: the numbers of `Diagnostics`. `scene`, `tiles`: numbers of the scene's summary and of the tiles'
@@ -42,6 +43,7 @@ class Report:
 
     recording: dict[str, Any]
     picture: dict[str, Any]
+    white: dict[str, Any]
     status: dict[str, Any]
     motion: dict[str, Any] | None
     diagnostics: dict[str, Any]
@@ -60,7 +62,7 @@ class Report:
     ) -> "Report":
         """The report of a solution; `seconds`: how long parts of the work around it took, by name."""
         recording, image = solution.recording, np.asarray(solution.image)
-        bad = recording.bad_pixels
+        bad = recording.bad_pixels if solution.bad_pixels is None else solution.bad_pixels.mask
         motion = None
         if solution.velocity is not None:
             speed = np.hypot(*np.asarray(solution.velocity, dtype=np.float64))
@@ -89,6 +91,7 @@ class Report:
                 "mean": plain(image.mean(dtype=np.float64)),
                 "maximum": plain(image.max()),
             },
+            white=plain(solution.white),
             status={
                 "name": solution.status.name,
                 "message": solution.status.message,
@@ -121,6 +124,10 @@ class Report:
             )
         if self.diagnostics["saturated"]:
             lines.append(f"Saturated: {said_of(self.diagnostics['saturated'])}.")
+        numbers = {kind: n for kind, n in (self.diagnostics["bad_pixels"] or {}).items() if n}
+        if numbers:
+            kinds = ", ".join(f"{n:,} {kind}" for kind, n in numbers.items())
+            lines.append(f"Bad pixels: {sum(numbers.values()):,} are not used: {kinds}.")
         iterations = self.diagnostics["iterations"]
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
         lines.append(f"{iterations} iterations{took}. {self.status['message']}")

@@ -28,7 +28,8 @@ def test_help_comes_at_once_and_without_jax():
 
 
 @pytest.mark.parametrize(
-    "command", ["info", "simulate", "play", "solve", "baseline", "demo", "warm", "cache", "train", "compare"]
+    "command",
+    ["info", "calibrate", "simulate", "play", "solve", "baseline", "demo", "warm", "cache", "train", "compare"],
 )
 def test_help_of_every_command(scsr, command):
     said = scsr(command, "--help")
@@ -72,7 +73,7 @@ def test_variable_that_jax_refuses_is_said_in_one_sentence(here, file, variable,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["explode"], r'Unknown command "explode": choose from info, simulate, .*, train\.$'),
+        (["explode"], r'Unknown command "explode": choose from info, calibrate, simulate, .*, train\.$'),
         (["info"], "scsr info needs FILE, which is missing: The recording: .dat"),
         (["info", "a.npz", "b.npz"], r"scsr info has no use for b.npz: leave it out, or see scsr info --help"),
         (["info", "a.npz", "--colour"], "Unknown option: --colour"),

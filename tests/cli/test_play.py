@@ -37,7 +37,7 @@ def test_play_a_recording_shorter_than_the_window(scsr, spikes):
 
 def test_play_a_film(scsr, file):
     said = scsr("play", file, "-o", "a.gif", "--start", "5", "--stop", "20", "--step", "5", "--window", "7")
-    assert said == "a.gif: 3 pictures of frames 5 to 15, every 5.\n"
+    assert said.splitlines()[0] == "a.gif: 3 pictures of frames 5 to 15, every 5."
     with Image.open("a.gif") as film:
         assert film.size == (WIDTH, HEIGHT)
         assert film.n_frames == 3  # pyright: ignore[reportAttributeAccessIssue]

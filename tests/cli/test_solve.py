@@ -34,7 +34,7 @@ def test_solve_writes_all_that_was_asked_for(scsr, file, asked, spikes):
     lines = said.splitlines()
     assert lines[0] == "ramp: 31 frames of 40x24, key frame 10 -> 80x48 (x2)"
     assert lines[2].startswith("2 iterations in ") and lines[2].endswith("The picture meets the tolerance.")
-    assert lines[3:] == ["a.png", "a.json", "f.png"]
+    assert lines[3:] == ["White: intensity 1, fixed: nominal.", "a.png", "a.json", "f.png"]
     (call,) = asked
     assert (np.asarray(call["spikes"]) == spikes).all() and call["spikes"].white_rate == 0.6
     assert call["key"] == 10 and call["scale"] == 2

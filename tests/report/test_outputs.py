@@ -19,7 +19,7 @@ from scsr_opt.report import Report, read_picture, write_film, write_picture
 PICTURE = np.random.default_rng(0).random((40, 60)).astype(np.float32)
 CHARGE = np.random.default_rng(0).random((40, 60)) + 0.3 * np.arange(31)[:, None, None]
 SPIKES = np.diff(np.floor(CHARGE), axis=0).astype(np.uint8)  # regular, as those of a camera
-REPORT = Report({"name": "x" * 5000}, {}, {}, None, {}, None, None, [], {}, {})
+REPORT = Report({"name": "x" * 5000}, {}, {}, {}, None, {}, None, None, [], {}, {})
 
 
 def _figure(path: Path) -> None:

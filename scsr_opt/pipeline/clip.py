@@ -7,6 +7,7 @@ from jaxtyping import Bool, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt._validation import whole
+from scsr_opt.camera.light import Light
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, bad_pixels_of, checked_white_rate
 
 
@@ -19,6 +20,7 @@ class Clip(NamedTuple):
     - `white_rate`: spikes per frame of a pixel at intensity 1.
     - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
     - `start`: frame of the recording that `spikes[0]` is.
+    - `light`: of each moment, where it changes.
     """
 
     spikes: Shaped[np.ndarray, "T h w"]
@@ -26,6 +28,7 @@ class Clip(NamedTuple):
     white_rate: float
     bad_pixels: Bool[np.ndarray, "h w"] | None
     start: int = 0
+    light: Light | None = None
 
     @classmethod
     def around(
@@ -66,4 +69,5 @@ class Clip(NamedTuple):
     def part(self, rows: slice, columns: slice) -> "Clip":
         """Clip of a rectangle of the sensor, with these frames."""
         bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
-        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad)
+        light = None if self.light is None else self.light.part(rows, columns)
+        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad, light=light)

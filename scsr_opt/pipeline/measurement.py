@@ -149,6 +149,8 @@ def measure(
         samples = cut_to_seen(
             samples, path, frames=frames, white_rate=clip.white_rate, ends=sampling.ends, settings=settings
         )
+    if clip.light is not None:
+        samples = clip.light.corrected(samples, width)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     if isinstance(sampling, Intervals) and sampling.noise is not None:
         weight = sampling.noise.weights(samples, _mean_light(clip, settings.light_smoothing_px))

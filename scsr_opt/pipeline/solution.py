@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from scsr_opt.camera.light import Light
 from scsr_opt.camera.recording import Recording
 from scsr_opt.errors import InputError
 from scsr_opt.motion.trajectory import Motion
@@ -32,6 +33,10 @@ class Diagnostics:
       where they lie the picture is a lower bound.
     - `gain_spread`, `gain_spread_at_rest`: standard deviation of the pixels' gains where the scene moves by a pixel,
       and elsewhere.
+    - `light_depth`: swing of the light either way, relative to its mean; None where it does not change.
+      `light_frequency`: Hz; None where it does not repeat.
+      `light_unexplained`: share of the sensor whose brightness changes as that around it, which neither motion nor the
+      light found explain: shadows, reflections.
     - `optics_sigma`: of the lens that was estimated, sensor pixels.
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
     - `first_iterations`: where Eq. 4 was solved twice (`ridge-centred`), iterations of the first solve.
@@ -48,6 +53,9 @@ class Diagnostics:
     saturated: float | None = None
     gain_spread: float | None = None
     gain_spread_at_rest: float | None = None
+    light_depth: float | None = None
+    light_frequency: float | None = None
+    light_unexplained: float | None = None
     optics_sigma: float | None = None
     motion_carried: bool | None = None
     first_iterations: int | None = None
@@ -66,6 +74,7 @@ class Solution:
     - `status`: how it ended. `stages`: one record per iteration. `diagnostics`: numbers by name.
     - `motion`: the motion that was used; None where there was none to use.
     - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
+    - `light`: of each moment of the clip, where it changes (`camera.light.Light`); None where it does not.
     - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
     - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
     - `state`: what a solve of a similar problem can start from (`reconstruct(…, state=…)`).
@@ -82,6 +91,7 @@ class Solution:
     diagnostics: Diagnostics = Diagnostics()
     motion: Motion | None = field(default=None, repr=False)
     gain: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
+    light: Light | None = field(default=None, repr=False)
     scene: SceneSummary | None = field(default=None, repr=False)
     tiles: TileIterations | None = field(default=None, repr=False)
     state: Any = field(default=None, repr=False)

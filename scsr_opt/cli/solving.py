@@ -51,6 +51,13 @@ class Solving:
     refine: Annotated[
         Whole, Parameter(help="How often the motion is refined against the picture, which is then solved again.")
     ] = 0
+    light: Annotated[
+        Literal["mean", "key", "constant"],
+        Parameter(
+            help="Where lamps flicker, show the scene at its mean light, or at that of the key frame; constant: do not "
+            "look for flicker."
+        ),
+    ] = "mean"
     samples: Annotated[
         str, Parameter(help="What is measured: intervals between spikes, or windows:N, spikes counted over N frames.")
     ] = "intervals"
@@ -152,6 +159,7 @@ class Solving:
             "strength": self.strength,
             "solver": self._solver(),
             "refine": self.refine or None,
+            "light": None if self.light == "mean" else self.light,
             "shortcuts": None if self.skip else Shortcuts.none(),
             "crop": crop,
         }

@@ -358,6 +358,72 @@ class ReliabilitySettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LightSettings(Settings):
+    """When the light of a scene changes, and how that is found (`scsr_opt.motion.light`)."""
+
+    above_zero = frozenset({"tile_px", "most_tiles", "frames_per_picture", "steps_of_a_velocity", "dark_rate"})
+
+    tile_px: int = 16
+    """Side of a tile whose course of light is found."""
+    most_tiles: int = 64
+    """Tiles that tell whether the light changes, and how often, at most."""
+    least_frames: int = 24
+    """Frames of a clip from which on changes of the light are looked for."""
+    least_side_px: int = 8
+    """Side of the sensor from which on they are."""
+    frames_per_picture: int = 4
+    """Frames of a short picture; light that changes twice within fewer than that is not followed."""
+    least_pictures: int = 6
+    """Short pictures that have to be there."""
+    measured_share: float = 0.85
+    """Share of the pixels that must have fired before the first picture begins, and fire again after the last one."""
+    presmoothing_px: float = 1.0
+    """Gaussian presmoothing of the pictures: noise in their slopes would make motions look slower than they are."""
+    steps_of_a_velocity: int = 25
+    """Steps from picture to picture in which a tile has one velocity."""
+    dark_rate: float = 0.01
+    """Spikes per frame that are added to a pixel's mean where its noise is estimated by it."""
+    saturated_rate: float = 0.85
+    """Spikes per frame from which on a pixel does not tell more light from less."""
+    least_change: float = 0.01
+    """Standard deviation of a tile's light, relative to its mean, from which on it may change."""
+    agreement: float = 2.0
+    """How much larger than the difference from the tiles beside it a tile's change has to be."""
+    least_share: float = 0.3
+    """Share of the tiles whose light changes as that beside them does from which on the light changes: at most 0.2 of
+    scenes without flicker but one, 0.25 and more with 10 % of flicker."""
+    least_common_change: float = 0.007
+    """Standard deviation of the mean course, relative to the mean light, from which on it may change."""
+    deviations: float = 4.0
+    """Deviations, by those of the tiles, by which it has to."""
+    suspicious_ratio: float = 0.4
+    """Share of the three limits before from which on more frames than the clip's decide, where there are more."""
+    margin_frames: int = 32
+    """Frames before and after a clip that are looked at with it: at its ends many pixels are between no two spikes."""
+    stretch_frames: int = 801
+    """Frames around the key frame that tell how often light changes, and its mean: two cycles of a lamp at 100 Hz, read
+    out 40,000 times a second."""
+    least_cycles: float = 0.7
+    """Cycles that have to be seen for a frequency to be told."""
+    explained_share: float = 0.9
+    """Share of the variance that a wave of that frequency has to explain."""
+    most_lamps: int = 3
+    """Lamps of a course of their own, at most."""
+    lamp_share: float = 0.15
+    """Share of the tiles that have to differ from the common light as those beside them do for one more lamp."""
+    lamp_rounds: int = 2
+    """Times that these shares are found along a motion, which is then estimated again."""
+    edge_px: float = 1.5
+    """Standard deviation of the window in which a pixel's share of each lamp is found along the motion."""
+    apart_tolerance: float = 0.15
+    """Distance from either of two shares, in units of their difference, within which a pixel counts as lit by one."""
+    apart_share: float = 0.6
+    """Share of such pixels from which on every pixel is lit by one or the other lamp."""
+    edge_median_px: int = 5
+    """Side of the square whose median share a pixel then gets: edges of lamps stay, single pixels do not."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrajectorySettings(Settings):
     """How a motion is inverted and what is visible along it (`trajectory_of`)."""
 
@@ -397,6 +463,8 @@ class MotionSettings(Settings):
     """Trust."""
     trajectory: TrajectorySettings = field(default_factory=TrajectorySettings)
     """Inverse motion and visibility."""
+    light: LightSettings = field(default_factory=LightSettings)
+    """Changes of the light."""
 
 
 DEFAULTS = MotionSettings()

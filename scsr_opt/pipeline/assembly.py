@@ -108,11 +108,19 @@ def assemble_task(task: Task) -> Assembly:
     def lap(name: str) -> None:
         seconds[name] = time.perf_counter() - began - sum(seconds.values())
 
+    frames, gains, light = None, task.options.known_gain, task.clip.light
+    lamps = light is not None and not light.uniform
+    if task.estimator is not None or lamps:
+        frames = task.motion_frames(gains)
+    for _ in range(task.options.settings.motion.light.lamp_rounds if lamps else 0):
+        if frames is None:
+            break
+        task = task.with_light_along(task.estimate_motion(frames), frames)
+        frames = task.motion_frames(gains)
+    task = task.at_wanted_light()
     options, clip, prior = task.options, task.clip, task.options.prior
     assert prior is not None  # Options.validated
-    shortcuts, settings, frames = options.shortcuts, options.settings, None
-    if task.estimator is not None:
-        frames = task.motion_frames(options.known_gain)
+    shortcuts, settings = options.shortcuts, options.settings
     with ThreadPoolExecutor(1) as executor:  # what does not depend on the motion, beside it
         noise_task = executor.submit(noise_of_mean, clip, settings.strength)
         image_task = executor.submit(initial_image, clip, task.shape, sharp=True, settings=settings.sampling)
@@ -177,6 +185,9 @@ def assemble_task(task: Task) -> Assembly:
         diagnostics=Diagnostics(
             gain_spread_at_rest=spread_at_rest,
             bad_pixels=None if task.bad is None else task.bad.numbers,
+            light_depth=None if clip.light is None else clip.light.depth,
+            light_frequency=_hertz(task),
+            light_unexplained=task.light_unexplained,
             seconds=seconds,
         ),
     )
@@ -228,3 +239,9 @@ def _with_estimated_optics(assembly: Assembly) -> Assembly:
         method=replace(method, optics=Blur.gaussian(task.shape, sigma * task.scale)),
         diagnostics=replace(assembly.diagnostics, optics_sigma=sigma),
     )
+
+
+def _hertz(task: Task) -> float | None:
+    """How often the light repeats, Hz; None where it does not."""
+    light = task.clip.light
+    return None if light is None or light.frequency is None else light.frequency * task.recording.readout_rate

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt._validation import whole
+from scsr_opt.camera.light import Light
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, bad_pixels_of, checked_white_rate
 
 
@@ -20,6 +21,7 @@ class Clip(NamedTuple):
     - `bad_pixels`: (h, w), true where nothing is known; None if nothing is known of any.
     - `start`: frame of the recording that `spikes[0]` is.
     - `dark`: (h, w), intensity that each pixel shows without any light; None for 0.
+    - `light`: of each moment, where it changes.
     """
 
     spikes: Shaped[np.ndarray, "T h w"]
@@ -28,6 +30,7 @@ class Clip(NamedTuple):
     bad_pixels: Bool[np.ndarray, "h w"] | None
     start: int = 0
     dark: Float[np.ndarray, "h w"] | None = None
+    light: Light | None = None
 
     @classmethod
     def around(
@@ -76,4 +79,5 @@ class Clip(NamedTuple):
         """Clip of a rectangle of the sensor, with these frames."""
         bad = None if self.bad_pixels is None else self.bad_pixels[rows, columns]
         dark = None if self.dark is None else self.dark[rows, columns]
-        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad, dark=dark)
+        light = None if self.light is None else self.light.part(rows, columns)
+        return self._replace(spikes=self.spikes[:, rows, columns], bad_pixels=bad, dark=dark, light=light)

@@ -22,7 +22,7 @@ def initial_image(
     if frames > 1:
         half = (settings.initial_image_frames - 1) / 2
         edges = np.clip(np.array([clip.key - half, clip.key + half]), 0, frames - 1)
-        rate = interval_rates(clip.spikes, edges, white_rate=clip.white_rate)
+        rate = interval_rates(clip.spikes, edges, white_rate=clip.white_rate, light=clip.light)
     else:
         rate = clip.spikes / np.float32(clip.white_rate)
     picture = rate[0].astype(np.float32)

@@ -149,6 +149,8 @@ def measure(
         samples = cut_to_seen(
             samples, path, frames=frames, white_rate=clip.white_rate, ends=sampling.ends, settings=settings
         )
+    if clip.light is not None:
+        samples = clip.light.corrected(samples, width)
     samples = eqx.tree_at(lambda s: s.weight, samples, samples.weight / np.float32(frames))
     if clip.dark is not None:
         samples = eqx.tree_at(lambda s: s.value, samples, samples.value - clip.dark[samples.row, samples.column])

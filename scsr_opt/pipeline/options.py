@@ -109,6 +109,8 @@ class Options:
     - `crop`: (top, left, height, width) of the part of the sensor that is solved for, sensor pixels; all if None.
       `bad_pixels`, `gain` and `dark` may be those of the whole sensor or of the part; `motion`, `optics` and `state`
       are those of the part.
+    - `light`: where lamps flicker or clouds pass, the picture is the scene at the "mean" light, of whole cycles where
+      light repeats, or at that of the "key" frame. "constant": changes of the light are not looked for.
     - `keep_images`: every stage keeps its pictures.
     - `settings`: thresholds of every stage, which rarely need to be changed (docs/settings.md).
     """
@@ -128,6 +130,7 @@ class Options:
     refine: SupportsIndex = 0
     shortcuts: Shortcuts = field(default_factory=Shortcuts)
     crop: Sequence[SupportsIndex] | np.ndarray | None = None
+    light: Literal["mean", "key", "constant"] = "mean"
     keep_images: bool = False
     settings: PipelineSettings = field(default_factory=PipelineSettings)
 
@@ -161,6 +164,8 @@ class Options:
         if not (self.finds_gain or gain is None):
             gain = pixel_gain(cut_out(gain, sensor, crop), height, width)
         dark = None if self.dark is None else pixel_dark(cut_out(self.dark, sensor, crop), height, width)
+        if self.light not in ("mean", "key", "constant"):
+            raise InputError(f"light is {shown(self.light)}; it must be 'mean', 'key' or 'constant'.")
         check_type(self.samples, SamplingRule, "samples", "Intervals()")
         check_type(self.prior, Prior, "prior", "HuberTotalVariation()")
         check_type(self.solver, Solver, "solver", "FISTA()")

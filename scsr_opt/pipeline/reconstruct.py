@@ -152,6 +152,5 @@ def _solution(assembly: Assembly, **found: Any) -> Solution:
     task = assembly.task
     known = {"recording": task.recording, "scale": task.scale, "key": task.clip.key_frame}
     known |= {"white_rate": task.clip.white_rate, "crop": task.options.crop}
-    return Solution(
-        **known, motion=assembly.motion, gain=assembly.gain, bad_pixels=task.bad, scene=assembly.scene, **found
-    )
+    known |= {"light": task.clip.light, "scene": assembly.scene, "bad_pixels": task.bad}
+    return Solution(**known, motion=assembly.motion, gain=assembly.gain, **found)

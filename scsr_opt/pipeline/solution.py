@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from scsr_opt.calibration.bad_pixels import BadPixels
+from scsr_opt.camera.light import Light
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
@@ -35,6 +36,10 @@ class Diagnostics:
     - `gain_spread`, `gain_spread_at_rest`: standard deviation of the pixels' gains where the scene moves by a pixel,
       and elsewhere.
     - `bad_pixels`: how many were left out, by kind (`PixelKind`): given, dead, hot, isolated, resting.
+    - `light_depth`: swing of the light either way, relative to its mean; None where it does not change.
+      `light_frequency`: Hz; None where it does not repeat.
+      `light_unexplained`: share of the sensor whose brightness changes as that around it, which neither motion nor the
+      light found explain: shadows, reflections.
     - `optics_sigma`: of the lens that was estimated, sensor pixels.
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
     - `first_iterations`: where Eq. 4 was solved twice (`ridge-centred`), iterations of the first solve.
@@ -52,6 +57,9 @@ class Diagnostics:
     gain_spread: float | None = None
     gain_spread_at_rest: float | None = None
     bad_pixels: dict[str, int] | None = None
+    light_depth: float | None = None
+    light_frequency: float | None = None
+    light_unexplained: float | None = None
     optics_sigma: float | None = None
     motion_carried: bool | None = None
     first_iterations: int | None = None
@@ -71,6 +79,7 @@ class Solution:
     - `motion`: the motion that was used; None where there was none to use.
     - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
     - `bad_pixels`: of the sensor, or of `crop`, that were not used, and why; None where all were.
+    - `light`: of each moment of the clip, where it changes (`camera.light.Light`); None where it does not.
     - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
     - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
     - `white`: intensity that is shown as white in what is looked at: 8-bit PNG, figures, films. Those of one sequence
@@ -90,6 +99,7 @@ class Solution:
     motion: Motion | None = field(default=None, repr=False)
     gain: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
     bad_pixels: BadPixels | None = field(default=None, repr=False)
+    light: Light | None = field(default=None, repr=False)
     scene: SceneSummary | None = field(default=None, repr=False)
     tiles: TileIterations | None = field(default=None, repr=False)
     white: White = White()

@@ -72,6 +72,8 @@ def noise_of_mean(clip: Clip, settings: StrengthSettings = StrengthSettings()) -
     few = sparse_pixels(clip.spikes, apart)
     bad = None if clip.bad_pixels is None else sparse_pixels(clip.bad_pixels, apart)
     samples = spike_intervals(few, white_rate=clip.white_rate, bad_pixels=bad, ends=0)
+    if clip.light is not None:
+        samples = clip.light.sparse(apart).corrected(samples, few.shape[2])
     follows = (samples.row[1:] == samples.row[:-1]) & (samples.column[1:] == samples.column[:-1])
     difference = (samples.value[1:] - samples.value[:-1])[follows]
     duration = ((samples.weight[1:] + samples.weight[:-1]) / 2)[follows]
@@ -277,7 +279,7 @@ class StrengthSearch:
             if pieces is None or good[area].shape != good.shape:
                 # No more is merged than what is held out as a whole, if that holds intervals enough.
                 if merge and isinstance(self.sampling, Intervals):
-                    if on_sensor and self.sampling.noise is None:
+                    if on_sensor and self.sampling.noise is None and clip.light is None:
                         return self._split_at_rest(part, path.part(*area), first, gain)
                     frames_each = len(part.spikes) / np.maximum(spike_counts(part.spikes), 1)
                     merged = bool(frames_each.mean() <= settings.held_out_frames / 2)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import SupportsIndex
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt._kernels.programs import ready
@@ -19,6 +19,7 @@ from scsr_opt.camera.white import White, find_white
 from scsr_opt.motion.estimators.automatic import Automatic, corrected_frames, motion_in
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
+from scsr_opt.motion.light import FoundLight, along_motion, find_light
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.pipeline.clip import Clip
@@ -35,7 +36,8 @@ class Task:
     """One picture that is to be solved for.
 
     **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame, which
-    took `reading_seconds` to read; `bad`, all pixels that are not used, None if nothing is known of any.
+    took `reading_seconds` to read; `bad`, all pixels that are not used, None if nothing is known of any;
+    `light_unexplained`, share of the sensor whose brightness changes for no reason that was found (`FoundLight`).
     """
 
     recording: Recording
@@ -44,6 +46,7 @@ class Task:
     clip: Clip
     reading_seconds: float = 0.0
     bad: BadPixels | None = None
+    light_unexplained: float = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -69,8 +72,22 @@ class Task:
             white_rate=clip.white_rate,
             bad_pixels=clip.bad_pixels,
             gain=gain,
+            light=clip.light,
             settings=self.options.settings.motion,
         )
+
+    def with_light_along(self, motion: Motion, frames: MotionFrames) -> "Task":
+        """This task with the light of each pixel, where lamps differ, as it is found along a motion."""
+        assert self.clip.light is not None
+        light = along_motion(self.clip.light, frames, motion, self.clip.key, self.options.settings.motion)
+        return replace(self, clip=self.clip._replace(light=light))
+
+    def at_wanted_light(self) -> "Task":
+        """This task with its light relative to that at which the picture is to show the scene (`Options.light`)."""
+        light = self.clip.light
+        if light is None or self.options.light != "key":
+            return self
+        return replace(self, clip=self.clip._replace(light=light.relative_to(self.clip.key)))
 
     def estimate_motion(self, frames: MotionFrames | None) -> Motion:
         """The motion that these pictures show, or the one that was given."""
@@ -233,4 +250,24 @@ def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIn
     task = Task(recording, scale, options, clip, bad=bad)
     if options.finds_bad_pixels:
         task = replace(task.without(task.find_isolated()), options=options)
+    if options.light != "constant":
+        light = _light_of(task.clip, part, options)
+        task = replace(task, clip=task.clip._replace(light=light.light), light_unexplained=light.unexplained)
     return replace(task, reading_seconds=time.perf_counter() - began)
+
+
+def _light_of(clip: Clip, recording: Recording, options: Options) -> FoundLight:
+    """The light of a clip of a recording."""
+
+    def read(begin: int, end: int) -> Shaped[np.ndarray, "n h w"]:
+        return recording.window(clip.start + begin, clip.start + end)
+
+    after = recording.frames - clip.start - len(clip.spikes)
+    return find_light(
+        clip.spikes,
+        bad_pixels=clip.bad_pixels,
+        before=clip.start,
+        after=after,
+        read=read,
+        settings=options.settings.motion,
+    )

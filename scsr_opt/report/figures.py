@@ -35,6 +35,8 @@ _ACCENT = "#c8102e"
 # is given `_TITLED`.
 _MARGIN, _GUTTER, _TITLE = 0.15, 0.12, 0.3
 _WIDEST, _TALLEST, _TITLED, _SCALE = 7.0, 12.0, 3.2, 0.9
+_LIGHT = 1.2
+"""Height of the course of the light, inches."""
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -122,6 +124,8 @@ def compare(
     third = second + across * tall / wide + 2 * _GUTTER + _TITLE
     bottom = min(max(0.36 * page * height / width, 2.0), 3.0)
     end = third + bottom + 0.45 if solution is not None else third - 2 * _GUTTER - _TITLE + _MARGIN
+    fourth, flickers = end + _TITLE, solution is not None and solution.light is not None
+    end += _TITLE + _LIGHT + 0.45 if flickers else 0
     with matplotlib.rc_context(_STYLE):
         drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
         if title:
@@ -144,6 +148,8 @@ def compare(
             of_motion = min(bottom * width / height, 0.36 * page)
             _motion(drawn, velocity, shape, _MARGIN, third, of_motion, solution.bad_pixels)
             _convergence(drawn, solution, page / 2 + 0.6, third, page / 2 - 0.6 - _MARGIN, bottom)
+            if flickers:
+                _light(drawn, solution, _MARGIN + 0.4, fourth, page - 2 * _MARGIN - 0.4, _LIGHT)
     return drawn
 
 
@@ -342,6 +348,22 @@ def _convergence(drawn: Figure, solution: Solution, x: float, y: float, wide: fl
     _curve(lower, number, [stage.residual for stage in stages])
     lower.set_title("Relative residual", loc="left", fontsize=10)
     lower.set_xlabel("iteration")
+
+
+def _light(drawn: Figure, solution: Solution, x: float, y: float, wide: float, tall: float) -> None:
+    """Relative light of the moments of the clip: its median over the pixels, and the range of nine tenths of them."""
+    light, found = solution.light, solution.diagnostics
+    assert light is not None
+    axes = _axes(drawn, x, y, wide, tall)
+    now = light.at(light.time).reshape(light.time.size, -1)
+    least, usual, most = np.quantile(now, (0.05, 0.5, 0.95), axis=1)
+    axes.fill_between(light.time, least, most, color=_ACCENT, alpha=0.25, linewidth=0)
+    axes.plot(light.time, usual, color=_ACCENT, linewidth=1.2)
+    often = "" if found.light_frequency is None else f", {found.light_frequency:.0f} Hz"
+    depth = "" if found.light_depth is None else f": {100 * found.light_depth:.0f} % of its mean either way{often}"
+    axes.set_title(f"Light{depth}", loc="left", fontsize=10)
+    axes.set_xlabel("frame of the clip")
+    axes.set_ylim(0, 1.1 * float(most.max()))
 
 
 def _curve(axes: Axes, number: Sequence[int], values: Sequence[float]) -> None:

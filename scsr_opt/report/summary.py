@@ -19,6 +19,8 @@ from scsr_opt.camera.saturation import said_of
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.solvers.record import Stage
 
+UNEXPLAINED_SHARE = 0.1
+"""Share of the sensor whose brightness changes for no reason that was found, from which on a reader is told."""
 _VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")
 
 
@@ -128,6 +130,7 @@ class Report:
         if numbers:
             kinds = ", ".join(f"{n:,} {kind}" for kind, n in numbers.items())
             lines.append(f"Bad pixels: {sum(numbers.values()):,} are not used: {kinds}.")
+        lines += _of_light(self.diagnostics)
         iterations = self.diagnostics["iterations"]
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
         lines.append(f"{iterations} iterations{took}. {self.status['message']}")
@@ -183,6 +186,21 @@ def plain(value: Any) -> Any:
     if hasattr(value, "__array__"):
         return plain(np.asarray(value).tolist())
     return value.as_posix() if isinstance(value, Path) else str(value)
+
+
+def _of_light(found: Mapping[str, Any]) -> list[str]:
+    """Lines on the light that was found to change, and on brightness that changes for no reason that was found."""
+    lines = []
+    if found["light_depth"] is not None:
+        often = found["light_frequency"]
+        at = "" if often is None else f" at {often:.0f} Hz"
+        lines.append(f"Light: flickers{at}, by {100 * found['light_depth']:.0f} % of its mean either way.")
+    if (found["light_unexplained"] or 0) >= UNEXPLAINED_SHARE:
+        lines.append(
+            f"Light: brightness changes on {100 * found['light_unexplained']:.0f} % of the sensor as neither motion "
+            f"nor flicker explain, such as by shadows or reflections; the picture may be wrong there."
+        )
+    return lines
 
 
 def _stage(stage: Stage) -> dict[str, Any]:

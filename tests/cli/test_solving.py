@@ -39,6 +39,7 @@ def test_a_motion_that_is_known(scsr, here, file, asked, motion, expected):
         ("--motion ilk", "motion", ILK()),
         ("--motion tvl1", "motion", TVL1()),
         ("--refine 2", "refine", 2),
+        ("--light key", "light", "key"),
         ("--samples windows:9", "samples", Windows(9)),
         ("--robust huber", "robust", Huber()),
         ("--robust welsch", "robust", Welsch()),

@@ -43,7 +43,7 @@ def test_drift_is_the_written_out_regression(moving, compiled, reach):
     mean = (weight * value).sum(0) / seen
     basis = np.stack([after, after**2 / 2])[:, :, None, None]
     centred = basis - (weight * basis).sum(1, keepdims=True) / seen
-    given = (np.float32(motion[0]), np.float32(motion[1])) if moving else None
+    given = (motion[0].astype(np.float32), motion[1].astype(np.float32)) if moving else None
     pictures = pictures.astype(np.float32)
     found = drift(pictures, after, np.float32(part), given) if compiled else drift_of(pictures, after, given, part)
     shown = weight.sum(0) > 0

@@ -18,6 +18,7 @@ from scsr_opt._kernels.device import on_device
 from scsr_opt._kernels.programs import ready
 from scsr_opt._threads import in_threads
 from scsr_opt._validation import check_type, pixel_gain, whole
+from scsr_opt.camera.light import Light
 from scsr_opt.camera.recording import USUAL_FRAMES, Recording, bad_pixels_of, checked_white_rate
 from scsr_opt.camera.sources import ArraySource, as_spikes, checked_shape
 from scsr_opt.errors import InputError, shown
@@ -36,6 +37,7 @@ from scsr_opt.motion.estimators.frames import MotionFrames, filled, motion_frame
 from scsr_opt.motion.estimators.layered import layered, relabelled
 from scsr_opt.motion.estimators.parametric import parametric, shows_global_motion
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
+from scsr_opt.motion.light import along_motion, find_light
 from scsr_opt.motion.propagation import carry
 from scsr_opt.motion.reliability import with_trust
 from scsr_opt.motion.settings import DEFAULTS, ChoiceSettings, MotionSettings
@@ -386,18 +388,34 @@ def estimate_motion(
     middle = recording.frames // 2 if key is None else whole(key, "key", 0, recording.frames - 1)
     start, stop = recording.around(middle, USUAL_FRAMES if recording is spikes else None)
     rate = recording.white_rate if white_rate is None else checked_white_rate(white_rate)
-    pictures = corrected_frames(
-        recording.window(start, stop),
-        key=middle - start,
-        white_rate=rate,
-        bad_pixels=bad_pixels_of(recording, bad_pixels),
-        gain=None if gain is None else pixel_gain(gain, recording.height, recording.width),
+    window, bad = recording.window(start, stop), bad_pixels_of(recording, bad_pixels)
+    of_pixels = None if gain is None else pixel_gain(gain, recording.height, recording.width)
+
+    def pictures_over(light: Light | None) -> MotionFrames | None:
+        return corrected_frames(
+            window, key=middle - start, white_rate=rate, bad_pixels=bad, gain=of_pixels, light=light, settings=settings
+        )
+
+    light = find_light(
+        window,
+        bad_pixels=bad,
+        before=start,
+        after=recording.frames - stop,
+        read=lambda begin, end: recording.window(start + begin, start + end),
         settings=settings,
-    )
+    ).light
+    pictures = pictures_over(light)
     if pictures is None:
         return Motion.none(recording.height, recording.width)
+    motion = motion_in(pictures, estimator, settings)
+    for _ in range(0 if light is None or light.uniform else settings.light.lamp_rounds):
+        assert light is not None
+        light = along_motion(light, pictures, motion, middle - start, settings)
+        pictures = pictures_over(light)
+        assert pictures is not None
+        motion = motion_in(pictures, estimator, settings)
     # Arrays of the caller's own, which can be written to.
-    return jax.tree.map(np.array, motion_in(pictures, estimator, settings))
+    return jax.tree.map(np.array, motion)
 
 
 def _recording(spikes: Any) -> Recording:
@@ -421,11 +439,13 @@ def corrected_frames(
     white_rate: float | int,
     bad_pixels: np.ndarray | None,
     gain: Float[np.ndarray, "h w"] | None,
+    light: Light | None = None,
     settings: MotionSettings = DEFAULTS,
 ) -> MotionFrames | None:
-    """The recording as `motion_frames` in which all differences are motion: divided by the gains, bad pixels filled.
+    """The recording as `motion_frames` in which all differences are motion: divided by the gains and the
+    light, bad pixels filled.
 
-    **Arguments:** as of `estimate_motion`, with `key` counted from the first frame.
+    **Arguments:** as of `estimate_motion`, with `key` counted from the first frame; `light` of each moment.
 
     **Returns:** None where no motion can be seen, in fewer than three frames or a single row or column.
     """
@@ -433,7 +453,8 @@ def corrected_frames(
     frames, height, width = spikes.shape
     if frames < 3 or min(height, width) < 2:
         return None
-    found, limits = motion_frames(spikes, key=key, white_rate=white_rate, settings=settings), settings.frames
+    found = motion_frames(spikes, key=key, white_rate=white_rate, light=light, settings=settings)
+    limits = settings.frames
     picture, firing, counted = found.picture, found.firing, found.counted
     assert firing is not None and counted is not None  # by `motion_frames`
     good = None if bad_pixels is None or not bad_pixels.any() else ~bad_pixels

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
 from scsr_opt._kernels.device import on_device
+from scsr_opt.camera.light import Light
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.saturation import spike_counts
 from scsr_opt.camera.sparse import sparse_pixels
@@ -127,6 +128,7 @@ def motion_frames(
     *,
     key: int,
     white_rate: float | int = 0.6,
+    light: Light | None = None,
     settings: MotionSettings = DEFAULTS,
 ) -> MotionFrames:
     """The `MotionFrames` of a recording: stretches of equal length, about four frames or more, edge to edge.
@@ -137,7 +139,7 @@ def motion_frames(
     left out.
 
     **Arguments:** `key`: the key frame, counted from the first frame. `white_rate`: spikes per frame of a pixel at
-    intensity 1.
+    intensity 1. `light` of each moment, where it changes: the pictures show the scene at the mean light.
     """
     frames, limits = spikes.shape[0], settings.frames
     begin, end = _measured(spikes, limits)
@@ -146,20 +148,25 @@ def motion_frames(
     number = min(max(frames // limits.frames_per_picture, 2), most) if frames > 2 else 1
     edges = np.linspace(begin, end, number + 1)
     middle = (edges[1:] + edges[:-1]) / 2 - key
-    rates = interval_rates(spikes, edges, white_rate=white_rate)
+    rates = interval_rates(spikes, edges, white_rate=white_rate, light=light)
     firing = spike_counts(spikes).astype(np.float32) / np.float32(frames)
     picture, after, firing = (on_device(each.astype(np.float32)) for each in (rates, middle, firing))
     cutoff = settings.comparison.presmoothing_cutoff_sigmas
-    return MotionFrames(picture, after, firing, lambda: _counted(spikes, edges), cutoff)
+    return MotionFrames(picture, after, firing, lambda: _counted(spikes, edges, light), cutoff)
 
 
-def _counted(spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"]) -> Float[Array, "n h w"]:
-    """Spikes per frame in each stretch, between the whole frames nearest to its edges."""
+def _counted(
+    spikes: Shaped[np.ndarray, "T h w"], edges: Float[np.ndarray, " edges"], light: Light | None
+) -> Float[Array, "n h w"]:
+    """Spikes per frame of mean light in each stretch, between the whole frames nearest to its edges."""
     whole = np.rint(edges).astype(int)
     whole[1:] = np.maximum(whole[1:], whole[:-1] + 1)
     stretched = pairwise(whole.tolist())
     counts = np.stack([spike_counts(spikes[begin:end]) for begin, end in stretched])
-    return on_device(counts.astype(np.float32) / np.diff(whole).astype(np.float32)[:, None, None])
+    lasted = np.diff(whole)[:, None, None].astype(np.float32)
+    if light is not None:
+        lasted = lasted * light.over(whole - 0.5)  # frame t covers [t − ½, t + ½]
+    return on_device(counts.astype(np.float32) / lasted)
 
 
 def _measured(spikes: Shaped[np.ndarray, "T h w"], settings: FrameSettings) -> tuple[int, int]:

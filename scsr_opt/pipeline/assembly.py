@@ -128,11 +128,9 @@ def assemble_task(task: Task) -> Assembly:
         rest_task = executor.submit(task.estimate_gain_at_rest) if early else None
         motion = task.estimate_motion(frames)
         noise, image = noise_task.result(), image_task.result()
-    if options.finds_bad_pixels:
-        resting = task.find_resting(frames, motion)
-        task = task.without(resting)
-        if resting.mask.any():  # all that was found may have to do with them
-            return assemble_task(task)
+    if options.finds_bad_pixels:  # of a motion of many pixels these are few
+        task = task.without(task.find_resting(frames, motion))
+        clip = task.clip
     del frames  # hundreds of megabytes where the sensor is large
     lap("motion")
 

@@ -81,7 +81,8 @@ class MotionFrames:
         mistaken for its neighbour."""
         if sigma in self.known:
             return self.known[sigma]
-        return on_device(smoothed(self.picture, sigma, self.cutoff))
+        # As a stack, which is worked on while other work goes on; `smoothed` waits for each picture.
+        return smooth(self.picture, np.float32(sigma), np.float32(self.cutoff))
 
     @_cached
     def drift_at_rest(self, sigma: float) -> "Drift":
@@ -93,7 +94,7 @@ class MotionFrames:
         """Spikes per frame in each stretch, blurred by a Gaussian of `sigma` sensor pixels; None if unknown."""
         if self.counted is None:
             return None
-        return on_device(smoothed(self.counted(), sigma, self.cutoff))
+        return smooth(self.counted(), np.float32(sigma), np.float32(self.cutoff))
 
     @_cached
     def firing_around(self, window: float) -> Float[np.ndarray, "h w"] | None:

@@ -210,7 +210,7 @@ def _logarithm(
 ) -> Float[np.ndarray, "*n h w"]:
     """ln g of one picture or several, 0 where a pixel is bad."""
     one_or_all = _found if rate.ndim == 2 else _all_found
-    found = np.asarray(one_or_all(network, jnp.asarray(rate, jnp.float32), jnp.asarray(noise, jnp.float32)))
+    found = np.asarray(one_or_all(network, on_device(rate.astype(np.float32)), on_device(noise.astype(np.float32))))
     return np.where(bad, 0, np.clip(found, -settings.most_log_gain, settings.most_log_gain))
 
 

@@ -70,8 +70,8 @@ def light_at_rest(
     The samples are those of `spike_intervals`, split by `held_out`; `ends` as there. They are never made one by one,
     which takes a third of the time.
     """
-    fired, phase = jnp.asarray(spikes).astype(bool), jnp.asarray(_phase(spikes.shape[1:]))
-    return np.asarray(_light_at_rest(fired, phase, jnp.asarray(ends, jnp.float32), settings))
+    fired, phase = spikes.astype(bool, copy=False), _phase(spikes.shape[1:])
+    return np.asarray(_light_at_rest(fired, phase, np.float32(ends), settings))
 
 
 @partial(jax.jit, static_argnames="settings")

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -326,7 +325,7 @@ class StrengthSearch:
                 weight=(time * good / np.float32(frames)).reshape(-1).astype(np.float32),
             ).padded()
             shape = (scale * height, scale * width)
-            return place(jax.tree.map(jnp.asarray, samples), path, scale=scale, shape=shape, on_sensor=True)
+            return place(jax.tree.map(on_device, samples), path, scale=scale, shape=shape, on_sensor=True)
 
         kept, held = map(placed, light_at_rest(part.spikes, ends=self.sampling.ends, settings=self.settings))
         if min(np.count_nonzero(some.weight) for some in (kept, held)) < self.settings.least_samples:

@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from scsr_opt._arrays import as_array
+from scsr_opt._kernels.device import on_device
 from scsr_opt._kernels.programs import compiled
 from scsr_opt._validation import positive
 from scsr_opt.errors import InputError
@@ -106,8 +107,8 @@ class RidgeRegulariser(Prior[RidgeState]):
         )
         _check(bank, τ, s)
         norm_squared = bank_norm_squared(bank)
-        self.filters, self.knots, self.slopes = (jnp.asarray(values, jnp.float32) for values in (bank, τ, s))
-        self.accuracy = jnp.asarray(positive("RidgeRegulariser", "an accuracy", accuracy, 1), jnp.float32)
+        self.filters, self.knots, self.slopes = (on_device(values.astype(np.float32)) for values in (bank, τ, s))
+        self.accuracy = on_device(np.float32(positive("RidgeRegulariser", "an accuracy", accuracy, 1)))
         self.curvature = norm_squared * max(float(s.max()), 0.0)
         self.concavity = norm_squared * max(-float(s.min()), 0.0)
 

@@ -234,7 +234,7 @@ def test_samples_outside_jit_compile_once(heard, placed):
         placed.spread(placed.read(PICTURE + n))
         placed.seen()
         placed.rows()
-        placed.only(jnp.arange(5))
+        placed.only(np.arange(5))
         accumulate(placed, robust=jnp.full_like(placed.weight, 0.5 + n))
         with_exposure(term, placed, PICTURE + n)
         for loss in (Huber(), Welsch()):

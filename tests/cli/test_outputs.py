@@ -145,7 +145,7 @@ def test_a_process_says_odd_names(here, name):
     done = subprocess.run(command, capture_output=True)
     assert done.returncode == 0, done.stderr
     said = name.encode("utf-8", "backslashreplace") + b".png: frame 15 by tfp.\n"
-    assert done.stdout == said and (here / f"{name}.png").is_file()
+    assert done.stdout.startswith(said) and (here / f"{name}.png").is_file()
 
 
 @pytest.mark.parametrize(

@@ -107,9 +107,8 @@ def test_robust_losses_overcome_hot_pixels(made, loss, gained):
     hot = made.spikes.copy()
     hot[:, 3::8, 5::8] = 1
     strength = reconstruct(made.spikes, scale=SCALE, motion=MOTION).diagnostics.strength
-    squares, robust = (
-        reconstruct(hot, scale=SCALE, motion=MOTION, robust=r, strength=strength, gain=None).image for r in (None, loss)
-    )
+    common = {"scale": SCALE, "motion": MOTION, "strength": strength, "gain": None, "bad_pixels": None}
+    squares, robust = (reconstruct(hot, robust=r, **common).image for r in (None, loss))
     assert score(made, robust) > score(made, squares) + gained
 
 

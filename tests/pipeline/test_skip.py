@@ -197,7 +197,7 @@ def test_shortcuts_still_parts_are_merged_beside_what_moves():
     λ = looked_for.diagnostics.strength
     full, given = both(spikes, SCALE, strength=λ)
     assert looked_for.scene is not None and given.scene is not None
-    for summary, words in ((looked_for.scene, "nothing is merged"), (given.scene, "merged into one")):
+    for summary, words in ((looked_for.scene, "are kept apart"), (given.scene, "make one measurement")):
         assert 0.3 < summary.share(TileKind.STATIC) + summary.share(TileKind.UNIFORM) < 1
         assert any("nothing moves" in line and words in line for line in summary.lines())
     # About half of the sensor rests, and an interval there lasts three frames.
@@ -219,7 +219,7 @@ def test_scene_summary_windows_of_what_rests_are_at_rest():
     spikes = simulate(Static(WALL), scale=SCALE, frames=FRAMES, seed=3).spikes
     scene = reconstruct(spikes, scale=SCALE, samples=Windows(7), strength=0.01).scene
     assert scene is not None and scene.share(TileKind.STATIC) + scene.share(TileKind.UNIFORM) == 1
-    assert any("nothing is merged" in line for line in scene.lines())
+    assert any("are kept apart" in line for line in scene.lines())
 
 
 @pytest.mark.parametrize("loss", [Huber(), pytest.param(Welsch(), marks=pytest.mark.slow)])
@@ -366,7 +366,7 @@ def test_scene_summary_is_told_in_words_numbers_and_a_picture(tmp_path):
     solution = reconstruct(made.spikes, scale=SCALE)
     assert solution.scene is not None
     lines = solution.scene.lines()
-    assert lines[0] == "Scene: at rest." and any("merged into one" in line for line in lines)
+    assert lines[0] == "Scene: at rest." and any("make one measurement" in line for line in lines)
     numbers = solution.scene.numbers
     assert numbers["samples"] < numbers["intervals"] and sum(numbers["tiles"].values()) == pytest.approx(1, abs=1e-3)
     scene_figure(solution, title="wall").savefig(tmp_path / "scene.png")

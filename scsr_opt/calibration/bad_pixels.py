@@ -32,7 +32,7 @@ _MOTION_SQUARE, _ERROR_SQUARE = 8, 12
 
 
 class PixelKind(enum.IntEnum):
-    """What a pixel is: good, or why it must not be used."""
+    """State of a pixel: good, or the reason why it must not be used."""
 
     GOOD = 0
     GIVEN = 1
@@ -53,7 +53,7 @@ class BadPixels:
 
     @classmethod
     def given(cls, mask: Bool[np.ndarray, "h w"]) -> "BadPixels":
-        """Those of a mask."""
+        """Bad pixels that the user gives, by a mask (h, w)."""
         return cls(np.where(mask, PixelKind.GIVEN, PixelKind.GOOD).astype(np.uint8))
 
     @classmethod
@@ -77,7 +77,7 @@ class BadPixels:
         return BadPixels(np.where(self.mask, self.kind, others.kind))
 
     def part(self, rows: slice, columns: slice) -> "BadPixels":
-        """Those of a rectangle of the sensor."""
+        """Bad pixels of a rectangle of the sensor."""
         return BadPixels(self.kind[rows, columns])
 
 

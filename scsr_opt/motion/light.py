@@ -240,8 +240,11 @@ def _agreeing(courses: Courses, tiles: _Tiles, settings: LightSettings) -> Bool[
 
 def _flickers(courses: Courses, changing: Bool[np.ndarray, " tiles"], settings: LightSettings) -> bool:
     """Whether the light changes: in enough tiles, or in their mean by more than it could by chance."""
-    if changing.mean() >= settings.least_share:
+    share = changing.mean() if changing.sum() >= settings.least_tiles else 0.0
+    if share >= settings.least_share:
         return True
+    if share < settings.least_common_share:
+        return False
     common = _common(courses)
     chance = np.median((courses - common).std(1)) / len(courses) ** 0.5
     return bool(common.std() > max(settings.least_common_change, settings.deviations * chance))
@@ -253,6 +256,8 @@ def _suspicious(courses: Courses, changing: Bool[np.ndarray, " tiles"], settings
         settings,
         least_share=settings.suspicious_ratio * settings.least_share,
         least_common_change=settings.suspicious_ratio * settings.least_common_change,
+        least_common_share=0.0,
+        least_tiles=0,
         deviations=settings.suspicious_ratio * settings.deviations,
     )
     return _flickers(courses, changing, lower)
@@ -313,7 +318,7 @@ def _light_of(
 def _lamps(
     deviations: Courses, tiles: _Tiles, settings: LightSettings
 ) -> list[tuple[Float[np.ndarray, " tiles"], Float[np.ndarray, " n"]]]:
-    """What the light of some tiles has beside the common one: amounts by tile and their course, of each lamp but one.
+    """Further lamps: for each, how much of it every tile gets, and its course, beside the light common to all tiles.
 
     A lamp more is taken as long as enough tiles differ from the common course as the tiles beside them do.
     """

@@ -29,7 +29,7 @@ def calibrate(
     options: Options | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """What recordings of one camera tell of its pixels.
+    """Calibration of a camera (bad pixels, gains, dark level) from its recordings.
 
     - `dark`, with the lens covered: a pixel's dark level is its mean rate; one whose rate is far above the others' is
       hot.

@@ -96,7 +96,7 @@ def zoomed_crops(
     parts: Sequence[tuple[int, int, int, int]] | None = None,
     title: str | None = None,
 ) -> Figure:
-    """The same parts of several pictures of a scene, a row a part, enlarged alike and with one grey scale.
+    """Chart of enlarged parts of several pictures: a row for each part, a column for each picture, one grey scale.
 
     **Arguments:**
     - `columns`: name → picture (H, W), all of one size; the last one chooses the parts.

@@ -81,7 +81,8 @@ def test_sequence_has_one_white_and_one_search():
         reconstruct_sequence(SPIKES, [10, 30], scale=2, frames=10, motion=Still(), strength=0.01, gain=None)
     )
     for one in solutions:
-        np.testing.assert_array_equal(one.bad_pixels.mask, MASK)  # type: ignore[union-attr]
+        assert one.bad_pixels is not None
+        np.testing.assert_array_equal(one.bad_pixels.mask, MASK)
     assert len({one.white for one in solutions}) == 1 and solutions[0].white.level == pytest.approx(0.7, abs=0.05)
 
 

@@ -241,12 +241,8 @@ def drift(
         return interpolated(pictures[k], corner), inside
 
     def add(k: Array, found: tuple[Array, Array], sums: list[Array]) -> list[Array]:
-        tau, (value, inside) = after[k], found
-        value, weight = value - about, taking_part[k] * inside
-        weighted = weight * value
-        powers = [weight, weight * tau, weight * tau**2, weight * tau**3, weight * tau**4]
-        values = [weighted, weighted * tau, weighted * (tau**2 / 2), weighted * value]
-        return [total + more for total, more in zip(sums, powers + values, strict=True)]
+        value, inside = found
+        return _with_moment(sums, after[k], value, taking_part[k] * inside, about)
 
     # From the first moment that takes part to the last one.
     numbers = jnp.arange(after.size)
@@ -254,10 +250,53 @@ def drift(
     end = jnp.max(jnp.where(taking_part != 0, numbers + 1, 0))
     # Kept apart: as one array they took a quarter longer.
     sums = in_turn(place, look, add, [jnp.zeros_like(about)] * 9, begin, end)
+    return _drift_by(sums, about)
+
+
+def drift_of(
+    pictures: Float[Array | np.ndarray, "n h w"],
+    after: Float[np.ndarray, " n"],
+    motion: tuple[Float[np.ndarray, "2 h w"], Float[np.ndarray, "2 h w"]] | None,
+    taking_part: Bool[np.ndarray, " n"] | None = None,
+) -> Drift:
+    """`drift` outside `jit`, picture by picture: small programs serve any number of pictures, with motion and at rest.
+
+    **Arguments:** `motion`: velocity and acceleration; None at rest. `taking_part`: all moments if None.
+
+    **Returns:** arrays of NumPy.
+    """
+    pictures = np.asarray(pictures)
+    about = pictures[np.argmin(np.abs(after))]
+    fields = None if motion is None else (on_device(motion[0]), on_device(motion[1]))
+    ones, sums = np.ones_like(about), [np.zeros_like(about) for _ in range(9)]
+    for k in np.arange(after.size) if taking_part is None else np.flatnonzero(taking_part):
+        value, inside = (pictures[k], ones) if fields is None else picture_along(pictures[k], after[k], *fields)
+        sums = _with_moment(sums, after[k], value, inside, about)
+    return Drift(*map(np.asarray, _drift_by(sums, about)))
+
+
+@jax.jit
+def _with_moment(
+    sums: list[Float[Array, "h w"]],
+    tau: Float[Array, ""],
+    value: Float[Array, "h w"],
+    inside: Float[Array, "h w"],
+    about: Float[Array, "h w"],
+) -> list[Float[Array, "h w"]]:
+    """The sums of `drift` with one moment more, whose weight `inside` is 0 or 1: of powers of τ, and of values."""
+    value = (value - about) * inside
+    powers = [inside, inside * tau, inside * tau**2, inside * tau**3, inside * tau**4]
+    values = [value, value * tau, value * (tau**2 / 2), value * value]
+    return [total + more for total, more in zip(sums, powers + values, strict=True)]
+
+
+@jax.jit
+def _drift_by(sums: list[Float[Array, "h w"]], about: Float[Array, "h w"]) -> Drift:
+    """`Drift` by the sums over all moments (`_with_moment`), of pictures less `about`."""
     moments, values = jnp.stack(sums[:5]), jnp.stack(sums[5:])
     # Σ weight, of the regressors τ and τ²/2, and of their products.
     seen, first = moments[0], jnp.stack([moments[1], moments[2] / 2])
-    products = moments[2:] / jnp.array([1, 2, 4], after.dtype)[:, None, None]
+    products = moments[2:] / jnp.array([1, 2, 4], about.dtype)[:, None, None]
     count = jnp.maximum(seen, 1e-6)
     mean = values[0] / count
     square = jnp.stack([jnp.stack([products[0], products[1]]), jnp.stack([products[1], products[2]])])
@@ -271,53 +310,6 @@ def drift(
         residual=jnp.maximum(values[3] - values[0] * mean, 0),
         seen=seen,
     )
-
-
-def drift_of(
-    pictures: Float[Array | np.ndarray, "n h w"],
-    after: Float[np.ndarray, " n"],
-    motion: tuple[Float[np.ndarray, "2 h w"], Float[np.ndarray, "2 h w"]] | None,
-    taking_part: Bool[np.ndarray, " n"] | None = None,
-) -> Drift:
-    """`drift` outside `jit`: as fast by NumPy, without a program to be compiled. `motion`: None at rest; `taking_part`:
-    all moments if None."""
-    pictures = np.asarray(pictures)
-    about = pictures[np.argmin(np.abs(after))]
-    fields = None if motion is None else (on_device(motion[0]), on_device(motion[1]))
-    ones, sums = np.ones_like(about), [np.zeros_like(about) for _ in range(9)]
-    for k in np.arange(after.size) if taking_part is None else np.flatnonzero(taking_part):
-        value, inside = (pictures[k], ones) if fields is None else picture_along(pictures[k], after[k], *fields)
-        sums = _with_moment(sums, after[k], value, inside, about)
-    moments, values = np.stack(sums[:5]), np.stack(sums[5:])
-    seen, first = moments[0], np.stack([moments[1], moments[2] / 2])
-    count = np.maximum(seen, np.float32(1e-6))
-    mean = values[0] / count
-    full = mean + about
-    edged = np.pad(full, 1, mode="edge")
-    square = np.array([[moments[2], moments[3] / 2], [moments[3] / 2, moments[4] / 4]])
-    return Drift(
-        mean=full,
-        slope=np.stack([edged[2:, 1:-1] - edged[:-2, 1:-1], edged[1:-1, 2:] - edged[1:-1, :-2]]) / 2,
-        change=values[1:3] - first * mean,
-        spread=square - first[:, None] * first / count,
-        residual=np.maximum(values[3] - values[0] * mean, 0),
-        seen=seen,
-    )
-
-
-@jax.jit
-def _with_moment(
-    sums: list[Float[Array, "h w"]],
-    tau: Float[Array, ""],
-    value: Float[Array, "h w"],
-    inside: Float[Array, "h w"],
-    about: Float[Array, "h w"],
-) -> list[Float[Array, "h w"]]:
-    """The sums of `drift` with one moment more, of weight `inside`."""
-    value = (value - about) * inside
-    powers = [inside, inside * tau, inside * tau**2, inside * tau**3, inside * tau**4]
-    values = [value, value * tau, value * (tau**2 / 2), value * value]
-    return [total + more for total, more in zip(sums, powers + values, strict=True)]
 
 
 @partial(jax.jit, static_argnames="every")

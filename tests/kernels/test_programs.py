@@ -168,3 +168,32 @@ def test_every_jitted_function_of_the_library_is_found(package):
                     if id(program) not in found and str(getattr(thing, "__module__", "")).startswith(package):
                         missed.append(f"{name}.{key}.{member}")
     assert jitted > 5 and not missed
+
+
+def test_instances_leave_tuples_alone_that_other_threads_fill():
+    """Equinox's modules tell their class in Python, during which another thread may go on with a tuple."""
+    kept = [eqx.nn.Identity() for _ in range(2000)]
+    errors: list[SystemError] = []
+    stop = threading.Event()
+
+    def fill() -> None:
+        while not stop.is_set():
+            try:
+                tuple(number for number in range(200))
+            except SystemError as error:
+                errors.append(error)
+
+    threads = [threading.Thread(target=fill) for _ in range(3)]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for thread in threads:
+            thread.start()
+        for _ in range(10):
+            assert len(programs._instances(eqx.nn.Identity)) == len(kept)
+    finally:
+        stop.set()
+        sys.setswitchinterval(interval)
+        for thread in threads:
+            thread.join()
+    assert not errors

@@ -402,7 +402,8 @@ class LightSettings(Settings):
     least_tiles: int = 3
     """Tiles that have to agree: all of 6 and 12 did at 10 % of flicker, two of 6 in three of 45 steady scenes."""
     suspicious_ratio: float = 0.4
-    """Share of the limits of tiles, change and deviations from which on more frames than the clip's decide, where there are more."""
+    """Share of the limits of tiles, change and deviations from which on more frames than the clip's decide, where there
+    are more."""
     margin_frames: int = 32
     """Frames before and after a clip that are looked at with it: at its ends many pixels are between no two spikes."""
     stretch_frames: int = 801

@@ -127,10 +127,11 @@ def assemble_task(task: Task) -> Assembly:
         early = options.finds_gain and shortcuts.sampled_gains  # little work, where windows of the sensor tell
         rest_task = executor.submit(task.estimate_gain_at_rest) if early else None
         motion = task.estimate_motion(frames)
-        noise, image = noise_task.result(), image_task.result()
-    if options.finds_bad_pixels:  # of a motion of many pixels these are few
-        task = task.without(task.find_resting(frames, motion))
-        clip = task.clip
+        path_task = executor.submit(task.trajectory, motion)
+        if options.finds_bad_pixels:  # so few that the motion stays as it is
+            task = task.without(task.find_resting(frames, motion))
+            clip = task.clip
+        noise, image, path = noise_task.result(), image_task.result(), path_task.result()
     del frames  # hundreds of megabytes where the sensor is large
     lap("motion")
 
@@ -156,7 +157,7 @@ def assemble_task(task: Task) -> Assembly:
         settings=settings.outer_loop,
         tile_settings=settings.tiles,
     )
-    path, strength_task = task.trajectory(motion), None
+    strength_task = None
     with ThreadPoolExecutor(2) as executor:
         # Where strengths are tried on parts of the picture, these are measured anew, beside the whole.
         parts = in_parts(clip, task.scale, options.lens, settings.strength)

@@ -150,7 +150,7 @@ class MajorizeMinimize:
                 break
             before, state, near = near, outcome.state, on_device(outcome.image)
             limit = self.settings.reweighting_settled_tolerances * self.solver.tolerance
-            settled = before is not None and _distance(near, before) <= limit
+            settled = before is not None and _relative(outcome.image - np.asarray(before), outcome.image) <= limit
         return outcome._replace(stages=tuple(stages))
 
     def _check(self, state: Any, problem: Problem, image: Float[Array, "H W"]) -> None:
@@ -189,19 +189,21 @@ class ExposureCorrection:
         self._last: Float[Array, "H W"] | None = None
 
     def __call__(self, image: Float[Array, "H W"], tolerance: float) -> Problem | None:
-        far, limit = None, self._settings.correction_tolerances * tolerance
-        if self._touched is not None and _distance(image, self._touched) <= limit:
+        far, now = None, np.asarray(image)
+        change = None if self._touched is None else now - np.asarray(self._touched)
+        if change is not None and _relative(change, now) <= self._settings.correction_tolerances * tolerance:
             if not self._tile:
                 return None
-            distance = by_tile(np.asarray(image) - np.asarray(self._touched), np.asarray(image), self._tile)
+            distance = by_tile(change, now, self._tile)
             if distance.max() <= self._settings.tile_correction_tolerances * tolerance:
                 return None
             # Tiles half as far off would be next.
             far = distance > self._settings.tile_correction_tolerances / 2 * tolerance
         ahead = image
         if self._last is not None:
-            now, by = np.asarray(image), np.float32(self._settings.correction_extrapolation)
-            ahead = on_device(now + by * (now - np.asarray(self._last)))
+            further = now - np.asarray(self._last)
+            further *= np.float32(self._settings.correction_extrapolation)
+            ahead = on_device(further + now)
         self._last = image
         # Pieces of samples are chosen by rows: where most rows have a tile that is far off, hardly any is left out.
         if far is None or not self._finished_tiles or far.any(1).mean() > self._settings.few_rows_share:
@@ -237,10 +239,9 @@ class ExposureCorrection:
         return np.asarray(self._placed.rows())
 
 
-def _distance(image: Float[Array, "H W"], other: Float[Array, "H W"]) -> float:
-    """‖image − other‖ / ‖image‖."""
-    one, change = np.asarray(image), np.asarray(image) - np.asarray(other)
-    return float(np.linalg.norm(change) / max(np.linalg.norm(one), np.finfo(one.dtype).tiny ** 0.5))
+def _relative(change: Float[np.ndarray, "H W"], image: Float[np.ndarray, "H W"]) -> float:
+    """‖change‖ / ‖image‖."""
+    return float(np.linalg.norm(change) / max(np.linalg.norm(image), np.finfo(image.dtype).tiny ** 0.5))
 
 
 def _only_in(

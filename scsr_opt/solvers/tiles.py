@@ -224,9 +224,9 @@ def by_tile(
 ) -> Float[np.ndarray, "rows columns"]:
     """The root mean square of a change in each tile of side × side pixels, as a share of the picture's; what of a tile
     is outside the picture counts as not changed."""
-    squares = np.add.reduceat(change**2, np.arange(0, change.shape[0], side), axis=0)
+    squares = np.add.reduceat(np.square(change), np.arange(0, change.shape[0], side), axis=0)
     squares = np.add.reduceat(squares, np.arange(0, change.shape[1], side), axis=1)
-    level = max(np.sqrt(np.mean(image**2)), np.finfo(image.dtype).tiny ** 0.5)
+    level = max(np.linalg.norm(image) / np.sqrt(image.size), np.finfo(image.dtype).tiny ** 0.5)
     return np.sqrt(squares / side**2) / level
 
 

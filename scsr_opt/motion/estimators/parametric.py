@@ -333,8 +333,8 @@ def _fit(
         times = float(np.clip(more, 1, settings.longest_step_ratio)) if done > 0 else 1.0
         moved = times * np.abs(now).max(1).sum()
         numbers, last = (numbers + times * update).astype(np.float32), now
-    gradients = np.zeros((settings.blocks_per_side**2, on.size))
-    np.add.at(gradients, points.block, gradient.T)
+    blocks = settings.blocks_per_side**2
+    gradients = np.stack([np.bincount(points.block, of, blocks) for of in gradient], axis=1)
     return numbers, _Equations(matrix, gradients)
 
 

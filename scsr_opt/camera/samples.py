@@ -71,12 +71,12 @@ class Samples(eqx.Module):
         light, weight = (np.bincount(pixel, of, size) for of in (self.weight * self.value, self.weight))
         return (light / np.where(weight > 0, weight, 1)).reshape(shape)
 
-    def padded(self) -> "Samples":
-        """These samples, padded with weight 0 to one of few lengths.
+    def padded(self, least: int = 0) -> "Samples":
+        """These samples, padded with weight 0 to one of few lengths, at least `least`.
 
         Code that was compiled for one number of samples then serves for others.
         """
-        extra = padded_length(self.row.size) - self.row.size
+        extra = padded_length(max(self.row.size, least)) - self.row.size
 
         def pad(values: Shaped[np.ndarray | Array, " n"]) -> Shaped[np.ndarray, " m"]:
             return np.pad(values, (0, extra))

@@ -139,10 +139,9 @@ class ChoiceSettings(Settings):
     margin_px: int = 24
     """Margin around contradicting pixels within which separate motion is searched for: the widest window of the dense
     estimate reaches 18 pixels."""
-    box_step_px: int = 16
-    """Steps in which the sides of that box lie, so that compiled programs fit the next one, too."""
-    box_share: float = 0.85
-    """Share of the sensor up to which the box is used in the place of the whole sensor."""
+    box_share: float = 0.6
+    """Share of the sensor up to which the box is used in the place of the whole sensor. Its size compiles ten programs
+    of its own, which a fifth of the work is not worth."""
     sparse_from_pixels: int = 10_000
     """Pixels from which on motions are compared on a sparse grid. It gave the mean residual to 0.3 % at 400×250 pixels,
     but only to 2 % at 60×60, where that decided between two layers and three (0.2 dB)."""

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
@@ -38,6 +38,9 @@ from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
 SPACING = 4
 """Frames between two moments at which the inverse is computed. Linear interpolation between them is wrong by at most
 a·(spacing)²/8 with an acceleration a: a thousandth of a pixel for a turn of 0.01 rad per frame at radius 10."""
+
+# Layers are padded to a multiple of this number: a background, and up to three more.
+_LAYERS = 4
 
 
 class Layers(eqx.Module):
@@ -393,12 +396,18 @@ def key_frame_positions(
     tolerance = settings.inverse_tolerance_px
     affine = [affine_numbers(v, a, longest, tolerance) for v, a in zip(velocity, acceleration, strict=True)]
     plain, numbers = np.array([is_affine for is_affine, _ in affine]), np.stack([of for _, of in affine])
-    curved = on_device(acceleration) if acceleration.any() else None
-    given = on_device(velocity), curved, plain, numbers, on_device(member)
+    fields = velocity, acceleration if acceleration.any() else None, plain, numbers, member
+    given = *jax.tree.map(_with_spare_layers, fields), np.int32(len(velocity))
     # Moment by moment, so that pictures stay in the cache, and one program serves any number of moments.
     found = [_layered_position(*given, tau, every, settings) for tau in np.asarray(after)]
     position, visible = (on_device(np.stack([np.asarray(one) for one in of])) for of in zip(*found, strict=True))
     return position, visible
+
+
+def _with_spare_layers(fields: Shaped[np.ndarray, "layers *shape"]) -> Shaped[Array, "more *shape"]:
+    """Layers of zeros added up to a multiple of `_LAYERS`: one program then serves one layer more or less."""
+    spare = -len(fields) % _LAYERS
+    return on_device(np.pad(fields, [(0, spare)] + [(0, 0)] * (fields.ndim - 1)))
 
 
 @partial(jax.jit, static_argnames=("every", "settings"))
@@ -408,11 +417,12 @@ def _layered_position(
     affine: Bool[Array, " layers"],
     numbers: Float[Array, "layers 2 2 3"],
     member: Float[Array, "layers h w"],
+    count: Int[Array, ""],
     tau: Float[Array, ""],
     every: int,
     settings: TrajectorySettings,
 ) -> tuple[Float[Array, "2 rows columns"], Float[Array, "rows columns"]]:
-    """`key_frame_positions` of layers, the nearest first, `tau` frames from the key frame."""
+    """`key_frame_positions` of the first `count` layers, the nearest first, `tau` frames from the key frame."""
     partial_share, whole_share = settings.partial_share, settings.whole_share
     nowhere = jnp.zeros_like(velocity[0, :, ::every, ::every])
 
@@ -430,7 +440,7 @@ def _layered_position(
         return jnp.where(better[None], here, position), jnp.where(better, belongs, part)
 
     nobody = nowhere, jnp.full_like(nowhere[0], -1)
-    position, part = in_turn(place, look, nearer, nobody, 0, len(velocity))
+    position, part = in_turn(place, look, nearer, nobody, 0, count)
     return position, jnp.clip((part - partial_share) / (whole_share - partial_share), 0, 1)
 
 

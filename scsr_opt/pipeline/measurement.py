@@ -105,6 +105,7 @@ def measure(
     merged_intervals: bool = True,
     longest: int | None = None,
     on_sensor: bool = False,
+    least_padded: int = 0,
     settings: SamplingSettings = SamplingSettings(),
 ) -> Measurements:
     """The measurements of a recording, placed along a motion.
@@ -120,6 +121,7 @@ def measure(
       (`scsr_opt.pipeline.visibility`), which merged ones are not. Windows are not merged.
     - `on_sensor`: whether samples of a scene in which nothing moves at all are placed on the sensor's grid alone
       (`PlacedSamples`).
+    - `least_padded`: number of samples that they are padded to, at least.
     - `settings`: how far what a pixel sees may move while its intervals are merged, and how many positions it gets.
     """
     frames, height, width = clip.spikes.shape
@@ -159,7 +161,7 @@ def measure(
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
     order, positions = _longest_first(samples, speeds, unsteady, settings, each=merged_intervals)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
-    padded = (samples if gain is None else with_gain(samples, gain)).padded()
+    padded = (samples if gain is None else with_gain(samples, gain)).padded(least_padded)
     placed = place(
         jax.tree.map(on_device, padded),
         path,

@@ -268,6 +268,9 @@ class StrengthSearch:
         on_sensor = len(path.position) == 1 if known is None else known.placed.on_sensor
         # Held-out intervals must not be merged with others.
         unmerged = None if known is None or (known.merged_for > 1).any() else known
+        areas = _chosen_areas(image, self.scale, side, good, settings.most_parts)
+        # One length for all parts, so that one program serves them: a pixel has one sample more than spikes at most.
+        most = max(int(spike_counts(clip.spikes[:, *area]).sum()) + good[area].size for area in areas)
 
         def made(area: tuple[slice, slice]) -> _Split | None:
             # Sums of few pixels are too few to tell.
@@ -291,12 +294,12 @@ class StrengthSearch:
                     merged_intervals=merge,
                     longest=settings.held_out_frames if merged else 1,
                     on_sensor=self.merged_intervals,
+                    least_padded=most if len(areas) > 1 else 0,
                     settings=self.sampling_settings,
                 )
             reused = self.reused_sums and pieces is unmerged
             return _split(pieces, moved[area], merged, first, settings, reused=reused)
 
-        areas = _chosen_areas(image, self.scale, side, good, settings.most_parts)
         return [(area, part) for area, part in zip(areas, in_threads(made, areas), strict=True) if part is not None]
 
     def _split_at_rest(
@@ -393,8 +396,8 @@ def _split(
     split = eqx.tree_at(lambda p: p.weight, taken.placed, kept)
     if reused:  # as many samples as are kept, so that one program sums both
         return _Split(split, eqx.tree_at(lambda p: p.weight, taken.placed, held_weight), first, reused)
-    # Padded to one of few lengths, so that compiled code is used again.
-    filling = (0, padded_length(counted.size) - counted.size)
+    # Padded to one of few lengths, so that compiled code is used again; hardly ever are more than a quarter held out.
+    filling = (0, padded_length(max(counted.size, weight.size // 4)) - counted.size)
     chosen = taken.placed.only(np.pad(counted, filling))
     return _Split(split, eqx.tree_at(lambda p: p.weight, chosen, on_device(np.pad(weight[counted], filling))), first)
 

@@ -295,15 +295,16 @@ class _SeparateMotion:
 
 
 def _box(mask: Bool[np.ndarray, "h w"], settings: ChoiceSettings) -> tuple[slice, slice]:
-    """The rows and columns of a mask, with a margin; all of them where the box would hardly be smaller."""
-    margin, step = settings.margin_px, settings.box_step_px
-    sides = []
+    """Rows and columns around a mask, with a margin; all of them where the box would not be much smaller. A side is
+    whole quarters of the sensor's, so that compiled programs fit the box of another moment, too."""
+    margin, sides = settings.margin_px, []
     for axis, length in enumerate(mask.shape):
         some = np.flatnonzero(mask.any(1 - axis))
         begin, end = (int(some[0]), int(some[-1]) + 1) if some.size else (0, length)
-        begin = max(begin - margin, 0) // step * step
-        end = min(-(-(end + margin) // step) * step, length)
-        sides.append(slice(begin, end))
+        quarters = -(-4 * (end - begin + 2 * margin) // length)
+        side = min(-(-quarters * length // 4), length)
+        first = min(max((begin + end - side) // 2, 0), length - side)
+        sides.append(slice(first, first + side))
     area = np.prod([side.stop - side.start for side in sides])
     return (sides[0], sides[1]) if area <= settings.box_share * mask.size else (slice(None), slice(None))
 

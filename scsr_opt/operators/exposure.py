@@ -42,7 +42,7 @@ class ExposedStencil(eqx.Module):
     """M_e = Σ_j ω_j r_j r_jᵀ, each r_j along its whole exposure: the operator that `Stencil` is a narrow bound of.
 
     M_e u = M u − (M − M_e) u costs a visit of all samples with several positions. It is symmetric, so that its
-    derivative by u is itself; it cannot be differentiated by the samples.
+    derivative by u is itself; it can be differentiated by M, but not by the samples.
 
     **Fields:** `narrow`, M; `placed`, the samples.
     """
@@ -53,26 +53,25 @@ class ExposedStencil(eqx.Module):
     @eqx.filter_jit
     def __call__(self, u: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """M_e u."""
-        return _exposed(u, self)
+        return self.narrow(u) - _excess_of_all(u, self.placed)
 
 
 @eqx.filter_custom_vjp
-def _exposed(u: Float[Array, "H W"], stencil: ExposedStencil) -> Float[Array, "H W"]:
-    placed = stencil.placed
-    weight = jnp.where(placed.positions > 1, placed.weight, 0)
-    return stencil.narrow(u) - _excess(placed, weight, u, None)
+def _excess_of_all(u: Float[Array, "H W"], placed: PlacedSamples) -> Float[Array, "H W"]:
+    """(M − M_e) u."""
+    return _excess(placed, jnp.where(placed.positions > 1, placed.weight, 0), u, None)
 
 
-@_exposed.def_fwd
-def _(perturbed: Any, u: Float[Array, "H W"], stencil: ExposedStencil) -> tuple[Float[Array, "H W"], None]:
-    return _exposed(u, stencil), None
+@_excess_of_all.def_fwd
+def _(perturbed: Any, u: Float[Array, "H W"], placed: PlacedSamples) -> tuple[Float[Array, "H W"], None]:
+    return _excess_of_all(u, placed), None
 
 
-@_exposed.def_bwd
+@_excess_of_all.def_bwd
 def _(
-    residuals: None, cotangent: Float[Array, "H W"], perturbed: Any, u: Float[Array, "H W"], stencil: ExposedStencil
+    residuals: None, cotangent: Float[Array, "H W"], perturbed: Any, u: Float[Array, "H W"], placed: PlacedSamples
 ) -> Float[Array, "H W"]:
-    return _exposed(cotangent, stencil)
+    return _excess_of_all(cotangent, placed)
 
 
 def with_exact_exposure(term: DataTerm, placed: PlacedSamples) -> DataTerm:

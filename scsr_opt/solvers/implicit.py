@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import iteration_count
 from scsr_opt.errors import InputError
+from scsr_opt.operators.exposure import ExposedStencil
 from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.problem import Problem, lipschitz_bound
@@ -27,7 +28,8 @@ def implicit_minimiser(
 ) -> Float[Array, "H W"]:
     """The minimiser X*(θ) of f(X) + λΨ(X), differentiable in reverse mode by every number θ of the problem: λ, the
     accumulated samples c (`problem.data.target`), M, and the numbers of the lens and of a `RidgeRegulariser` (those of
-    the other priors are settings that are compiled in).
+    the other priors are settings that are compiled in). Not by the samples of an `ExposedStencil`, which the problem of
+    `assemble` has where the scene moves: their derivative is 0.
 
     With p the dual variable, the pair v* = (X*, p*) is a fixed point v = T(v, θ) of a primal–dual step, all of whose
     parts are exact and known (a truncated proximal step is not); of a gradient step, without p, for a
@@ -60,29 +62,37 @@ def implicit_minimiser(
         )
     for name, number in (("iterations", iterations), ("adjoint_iterations", adjoint_iterations)):
         iteration_count("implicit_minimiser", number, name)
-    numbers, fixed = eqx.partition(problem, eqx.is_inexact_array)
-    return _solution(numbers, fixed, iterations, adjoint_iterations, jax.lax.stop_gradient(image))
+    by = jax.tree.map(eqx.is_inexact_array, problem)
+    if isinstance(problem.data.stencil, ExposedStencil):
+        by = eqx.tree_at(lambda of: of.data.stencil.placed, by, jax.tree.map(lambda _: False, by.data.stencil.placed))
+    numbers, rest = eqx.partition(problem, by)
+    places, static = eqx.partition(rest, eqx.is_array)
+    return _solution(numbers, places, static, iterations, adjoint_iterations, jax.lax.stop_gradient(image))
 
 
 @eqx.filter_jit
-def _solution(numbers: Any, fixed: Any, iterations: int, adjoint_iterations: int, image: Array) -> Array:
-    @jax.custom_vjp
-    def solve(numbers: Any, image: Array) -> Array:
-        return fixed_point(numbers, image)[0]
+def _solution(numbers: Any, places: Any, static: Any, iterations: int, adjoint_iterations: int, image: Array) -> Array:
+    """`implicit_minimiser` of a problem in three parts: the `numbers` that it is differentiated by, other arrays
+    (`places`), and what is compiled in (`static`)."""
 
-    def fixed_point(numbers: Any, image: Array) -> _Pair:
-        problem: Problem = eqx.combine(numbers, fixed)
+    # `places` is an argument, too: the rules of derivatives are traced again, and must not enclose traced arrays.
+    @jax.custom_vjp
+    def solve(numbers: Any, places: Any, image: Array) -> Array:
+        return fixed_point(numbers, places, image)[0]
+
+    def fixed_point(numbers: Any, places: Any, image: Array) -> _Pair:
+        problem: Problem = eqx.combine(numbers, places, static)
         prior = problem.prior
         first = (image, prior.initial_state(image) if isinstance(prior, Analysis) else ())
         return _repeated(lambda pair: _step(problem, pair), first, iterations)
 
-    def forward(numbers: Any, image: Array) -> tuple[Array, Any]:
-        pair = fixed_point(numbers, image)
-        return pair[0], (numbers, pair)
+    def forward(numbers: Any, places: Any, image: Array) -> tuple[Array, Any]:
+        pair = fixed_point(numbers, places, image)
+        return pair[0], (numbers, places, pair)
 
-    def backward(kept: Any, wanted: Array) -> tuple[Any, Array]:
-        numbers, pair = kept
-        _, back = jax.vjp(lambda numbers, pair: _step(eqx.combine(numbers, fixed), pair), numbers, pair)
+    def backward(kept: Any, wanted: Array) -> tuple[Any, None, Array]:
+        numbers, places, pair = kept
+        _, back = jax.vjp(lambda numbers, pair: _step(eqx.combine(numbers, places, static), pair), numbers, pair)
         zero = jax.tree.map(jnp.zeros_like, pair)
 
         def once(w: _Pair) -> _Pair:
@@ -90,10 +100,10 @@ def _solution(numbers: Any, fixed: Any, iterations: int, adjoint_iterations: int
             return image + wanted, dual
 
         of_numbers, _ = back(_repeated(once, zero, adjoint_iterations))
-        return of_numbers, jnp.zeros_like(wanted)
+        return of_numbers, None, jnp.zeros_like(wanted)
 
     solve.defvjp(forward, backward)
-    return solve(numbers, image)
+    return solve(numbers, places, image)
 
 
 def _repeated(step: Callable[[_Pair], _Pair], pair: _Pair, times: int) -> _Pair:

@@ -6,10 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from scsr_opt import assemble
+from scsr_opt.camera.scenes import Translation
+from scsr_opt.camera.simulator import simulate
 from scsr_opt.errors import InputError
+from scsr_opt.motion import Motion
 from scsr_opt.operators.aperture import Aperture
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.data_term import DataTerm, Stencil
+from scsr_opt.operators.exposure import ExposedStencil
 from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, RidgeRegulariser, TotalVariation
 from scsr_opt.solvers import Problem, implicit_minimiser
 
@@ -142,6 +147,30 @@ def test_without_samples_derivatives_are_finite():
 
     for derivative in jax.grad(loss, argnums=(0, 1))(base.strength, jnp.zeros(SHAPE)):
         assert np.isfinite(derivative).all()
+
+
+def test_implicit_minimiser_of_an_assembled_moving_scene_is_differentiated_by_strength_and_samples():
+    """Exposures during which the scene moves are part of the problem, with integers for where the samples lie."""
+    picture = np.clip(np.add.outer(np.sin(np.arange(20) / 2), np.cos(np.arange(24) / 3)) / 4 + 0.5, 0, 1)
+    with jax.enable_x64(False):
+        made = simulate(Translation(picture, velocity=(0.3, 0.4)), scale=2, frames=60, seed=1)
+        moving = assemble(
+            made.spikes, scale=2, motion=Motion.constant((0.15, 0.2), (10, 12)), strength=0.02, prior=PRIORS["Huber TV"]
+        )
+    assert isinstance(moving.data.stencil, ExposedStencil)
+    base = jax.tree.map(lambda leaf: leaf.astype(float) if eqx.is_inexact_array(leaf) else leaf, moving)
+    wanted, direction = (jnp.asarray(np.random.default_rng(n).normal(size=picture.shape)) for n in (4, 5))
+
+    @jax.jit
+    def loss(strength, along):
+        target = base.data.target + along * direction
+        image = implicit_minimiser(changed(base, strength, target), base.start, iterations=800, adjoint_iterations=800)
+        return jnp.sum(wanted * image)
+
+    at = base.strength, jnp.asarray(0.0)
+    for number, (found, step) in enumerate(zip(jax.grad(loss, argnums=(0, 1))(*at), (1e-5, 1e-6), strict=True)):
+        more, less = (loss(*(of + side * step * (n == number) for n, of in enumerate(at))) for side in (1, -1))
+        np.testing.assert_allclose(found, (more - less) / (2 * step), rtol=2e-3)
 
 
 def test_what_it_cannot_differentiate_is_refused():

@@ -71,13 +71,14 @@ def main() -> None:
     try:
         if options.page is not None:
             check_page(options.page, "masked")
-        recording, begin, table = read_recording(options.file, size=options.size), time.perf_counter(), []
+        recording, table = read_recording(options.file, size=options.size), []
+        about, begin = machine(), time.perf_counter()
         for line in lines(recording, options.scale, options.share, options.masks, METHODS):
             table.append(line)
             print(line, flush=True)
         if options.page is not None:
             command = f"python -m benchmarks.masked {Path(options.file).name} --masks {options.masks}"
-            about = machine() | {"seconds": time.perf_counter() - begin}
+            about |= {"seconds": time.perf_counter() - begin}
             write_page(options.page, f"{made_by(command, about)}\n\n" + "\n".join(table), {}, "masked")
     except InputError as error:
         parser.error(str(error))

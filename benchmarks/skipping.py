@@ -119,7 +119,7 @@ def main() -> None:
     try:
         if arguments.page is not None:
             check_page(arguments.page, "skipping")
-        begin = time.perf_counter()
+        about, begin = machine(), time.perf_counter()
         print("\n".join(lines), flush=True)
         for case in (*simulated(), *given(arguments.files, arguments.scale, arguments.frames)):
             lines.append(row(case, arguments.rounds))
@@ -127,7 +127,7 @@ def main() -> None:
         if arguments.page is not None:
             shown = [Path(file).name for file in arguments.files]
             command = shlex.join(["python", "-m", "benchmarks.skipping", *shown])
-            about = machine() | {"seconds": time.perf_counter() - begin}
+            about |= {"seconds": time.perf_counter() - begin}
             write_page(arguments.page, f"{made_by(command, about)}\n\n" + "\n".join(lines), {}, "skipping")
     except InputError as error:
         parser.error(str(error))

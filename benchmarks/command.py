@@ -26,8 +26,6 @@ from scsr_opt.errors import InputError
 from scsr_opt.progress import Progress
 from scsr_opt.report import versions
 
-MARKS = ("<!-- measured: begin -->", "<!-- measured: end -->")
-
 
 class Options(NamedTuple):
     """The request to a benchmark: `quick`, a small part of it; the `seed` of its recordings; `families`, the names
@@ -163,6 +161,11 @@ def origin(name: str, about: dict[str, Any]) -> str:
     command += " --quick" if about["quick"] else ""
     command += f" --seed {about['seed']}" if about["seed"] else ""
     command += f" --only {about['only']}" if about["only"] else ""
+    return made_by(command, about)
+
+
+def made_by(command: str, about: dict[str, Any]) -> str:
+    """A sentence on the command that made figures, `about` being `machine()` and the `seconds` that it took."""
     memory = "memory unknown" if about["memory"] is None else f"{about['memory'] / 2**30:.0f} GiB"
     used = ", ".join(f"{package} {number}" for package, number in about["versions"].items())
     return (
@@ -178,23 +181,28 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def check_page(path: Path) -> None:
+def marks(name: str) -> tuple[str, str]:
+    """What stands before and after the figures of a page that a benchmark writes."""
+    return f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+
+
+def check_page(path: Path, name: str = "measured") -> None:
     """**Raises:** `InputError` if there is no page with both marks."""
     text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    if any(text.count(mark) != 1 for mark in MARKS):
-        raise InputError(
-            f"--page {path} is no page with the marks {MARKS[0]} and {MARKS[1]}, as docs/benchmarks.md has them."
-        )
+    begin, end = marks(name)
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise InputError(f"--page {path} is no page with the marks {begin} and {end}, between which figures stand.")
 
 
-def write_page(path: Path, text: str, plots: dict[str, Figure | Image.Image]) -> None:
+def write_page(path: Path, text: str, plots: dict[str, Figure | Image.Image], name: str = "measured") -> None:
     """Replaces what stands between the marks of a page, and the plots beside it (`benchmarks_solvers.png`, …)."""
-    before, rest = path.read_text(encoding="utf-8").split(MARKS[0])
-    after = rest.split(MARKS[1])[1]
+    begin, end = marks(name)
+    before, rest = path.read_text(encoding="utf-8").split(begin)
+    after = rest.split(end)[1]
     with whole_file(path) as temporary:
-        temporary.write_text(f"{before}{MARKS[0]}\n\n{text}\n\n{MARKS[1]}{after}", encoding="utf-8")
-    for name, plot in plots.items():
-        with whole_file(path.with_name(f"{path.stem}_{name}.png")) as temporary:
+        temporary.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+    for stem, plot in plots.items():
+        with whole_file(path.with_name(f"{path.stem}_{stem}.png")) as temporary:
             if isinstance(plot, Figure):
                 plot.savefig(temporary)
             else:

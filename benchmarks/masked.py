@@ -1,21 +1,24 @@
 """Prediction of masked pixels of a real recording, which has no ground truth.
 
-    python -m benchmarks.masked FILE [--size 400x250] [--scale 4] [--share 0.05] [--masks 1]
+    python -m benchmarks.masked FILE [--size 400x250] [--scale 4] [--share 0.05] [--masks 1] [--page PAGE]
 
 A part of the sensor's pixels, drawn at random, is declared bad, so that no method uses them. The picture at the key
 frame, averaged down to the sensor, predicts what they saw, which the interval between spikes that holds the key frame
 shows (`tfi`). The table gives the root-mean-square error for all masked pixels, and separately for those where the
 scene moves (faster than a tenth of a sensor pixel in ten frames, by the estimate from all pixels) and where it is at
 rest. The last column says by how much a method's mean square error is above that of `reconstruct`, pixel by pixel of
-the same masks, with its standard error.
+the same masks, with its standard error. `--page` writes it between the marks of a page, as docs/baselines.md.
 """
 
 import argparse
+import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.command import check_page, machine, made_by, write_page
 from scsr_opt import reconstruct
 from scsr_opt.baselines import BASELINES
 from scsr_opt.camera import Recording, read_recording
@@ -63,11 +66,20 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=4)
     parser.add_argument("--share", type=float, default=0.05, help="of the pixels that are masked")
     parser.add_argument("--masks", type=int, default=1, help="how many are drawn, one after the other")
+    parser.add_argument("--page", type=Path, help="page whose table is to be written anew")
     options = parser.parse_args()
     try:
-        recording = read_recording(options.file, size=options.size)
+        if options.page is not None:
+            check_page(options.page, "masked")
+        recording, table = read_recording(options.file, size=options.size), []
+        about, begin = machine(), time.perf_counter()
         for line in lines(recording, options.scale, options.share, options.masks, METHODS):
+            table.append(line)
             print(line, flush=True)
+        if options.page is not None:
+            command = f"python -m benchmarks.masked {Path(options.file).name} --masks {options.masks}"
+            about |= {"seconds": time.perf_counter() - begin}
+            write_page(options.page, f"{made_by(command, about)}\n\n" + "\n".join(table), {}, "masked")
     except InputError as error:
         parser.error(str(error))
 

@@ -1,16 +1,20 @@
 """Time that is saved by skipping work that a scene does not need, and the change of the picture.
 
-    python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 101] [--rounds 3]
+    python -m benchmarks.skipping [FILE[:WIDTHxHEIGHT] …] [--scale 4] [--frames 101] [--rounds 3] [--page PAGE]
 
-For each recording (without any: five simulated scenes at ×2) `reconstruct` runs with and without `skip`, in turns. The
-table gives the medians of the seconds and their ratio; by how much the skipping picture's objective is above the other
-one's, in the problem that nothing was skipped in (Eq. 4 over two, every interval a sample of its own, with the motion
-that the full computation found); the largest change of the mean of a tile of 16 sensor pixels, in 1/255 of white; and
-the peak signal-to-noise ratios where the truth is known.
+For each recording (five simulated scenes at ×2, then the files) `reconstruct` runs with and without shortcuts, in
+turns. The table gives the medians of the seconds and their ratio; by how much the objective of the picture with
+shortcuts is above that of the other one, in the problem that nothing was skipped in (Eq. 4 over two, every interval a
+sample of its own, with the motion that the full computation found); the largest change of the mean of a tile of 16
+sensor pixels, in 1/255 of white; and the peak signal-to-noise ratios where the truth is known. `--page` writes it
+between the marks of a page, as docs/shortcuts.md.
 """
 
 import argparse
+import shlex
+import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
@@ -19,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from skimage import color, data
 
+from benchmarks.command import check_page, machine, made_by, write_page
 from benchmarks.recordings import SCENES
 from benchmarks.timing import in_turns
 from scsr_opt import Recording, Shortcuts, Solution, reconstruct
@@ -105,13 +110,25 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=4)
     parser.add_argument("--frames", type=int, default=101)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--page", type=Path, help="page whose table is to be written anew")
     arguments = parser.parse_args()
+    lines = [
+        "| recording | all work, s | with shortcuts, s | ratio | objective above | tile's mean, 1/255 | PSNR, dB |",
+        "|---|--:|--:|--:|--:|--:|--:|",
+    ]
     try:
-        cases = given(arguments.files, arguments.scale, arguments.frames) if arguments.files else simulated()
-        print("| recording | full, s | skipping, s | ratio | objective above | tile's mean, 1/255 | PSNR, dB |")
-        print("|---|--:|--:|--:|--:|--:|--:|")
-        for case in cases:
-            print(row(case, arguments.rounds), flush=True)
+        if arguments.page is not None:
+            check_page(arguments.page, "skipping")
+        about, begin = machine(), time.perf_counter()
+        print("\n".join(lines), flush=True)
+        for case in (*simulated(), *given(arguments.files, arguments.scale, arguments.frames)):
+            lines.append(row(case, arguments.rounds))
+            print(lines[-1], flush=True)
+        if arguments.page is not None:
+            shown = [Path(file).name for file in arguments.files]
+            command = shlex.join(["python", "-m", "benchmarks.skipping", *shown])
+            about |= {"seconds": time.perf_counter() - begin}
+            write_page(arguments.page, f"{made_by(command, about)}\n\n" + "\n".join(lines), {}, "skipping")
     except InputError as error:
         parser.error(str(error))
 

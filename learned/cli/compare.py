@@ -47,9 +47,10 @@ def compare(
 ) -> int:
     """Compare optimizers and networks stage by stage on one moment of a recording.
 
-    Each X^(t) of each model is measured by the same problem (Eq. 4 with Huber-TV): objective, how far it
-    misses the samples, distance to the converged solution, step. For a network there is also what the optimizer makes
-    of its picture, and what it makes of the optimizer's.
+    The picture after each stage of each model is measured alike: by the objective that fista-huber minimises (misfit to
+    the spikes plus total variation), by its distance from the converged solution, and by how much the stage changed it.
+    The table says which objective each model itself minimises, and what each column means. Optimizer and network are
+    also started at each other's picture.
     """
     names = [name.strip() for name in models.split(",") if name.strip()]
     if not names:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from learned.evaluation.costs import Cost, cost
 from learned.evaluation.inference import Run, sparing
 from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, read, reference_problem, reference_task
-from learned.evaluation.stage_report import Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
+from learned.evaluation.stage_report import SHARED, Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
 from learned.training.validation import border_of, psnr, quality
 from learned.zoo import Model, Network, Optimizer, model
 from scsr_opt.camera.recording import Recording
@@ -158,7 +158,8 @@ class _Measure:
             state = eqx.filter_jit(model.solver.init)(problem, self.posed.first)
             each = cost(model.solver.step, problem, state)
         measured, pictures = self._all(self.posed.first, stages, [_times(each, t) for t in range(1, len(stages) + 1)])
-        return ModelStages(model.name, solution.status, self.before, measured, pictures), solution.image
+        prior = SHARED if eqx.tree_equal(model.prior, PRIOR) else type(model.prior).__name__
+        return ModelStages(model.name, solution.status, self.before, measured, pictures, prior), solution.image
 
     def network(
         self, model: Network, start: Float[np.ndarray, "H W"] | None = None, *, costs: bool = True

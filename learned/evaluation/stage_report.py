@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -63,7 +63,8 @@ class ModelStages:
     """One model.
 
     **Fields:** `name`; `status`, how it ended; `seconds_before` the first stage (motion, samples, strength, inputs;
-    compiled), None where not measured; `stages`, all; `pictures`: t → (R^(t), X^(t)) of the stages shown.
+    compiled), None where not measured; `stages`, all; `pictures`: t → (R^(t), X^(t)) of the stages shown; `prior`: of
+    the objective that the model minimises, `SHARED` if that is the one by which all are compared, None for a network.
     """
 
     name: str
@@ -71,6 +72,14 @@ class ModelStages:
     seconds_before: float | None
     stages: tuple[StageMeasures, ...]
     pictures: dict[int, tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]
+    prior: str | None = None
+
+    @property
+    def minimises(self) -> str:
+        """Which column of the table the model makes small."""
+        if self.prior is None:
+            return "trained towards true pictures, makes no column small"
+        return "minimises the objective" if self.prior == SHARED else f"minimises 'own', with the prior {self.prior}"
 
 
 @dataclass(frozen=True)
@@ -119,23 +128,28 @@ class Comparison:
         height, width = self.reference.shape
         lines = [
             f"{self.recording.name}: {self.frames} frames of {self.recording.width}x{self.recording.height}, key frame "
-            f"{self.key} -> {width}x{height} (x{self.scale}), lambda {self.strength:.3g}",
+            f"{self.key} -> {width}x{height} (x{self.scale}), strength of the prior (lambda) {self.strength:.3g}",
             f"Converged solution: objective {self.reference_objective:.6g} after {self.reference_iterations} "
             f"iterations ({self.reference_status.name.replace('_', ' ')}).",
         ]
+        blocks = [one.stages for one in (*self.models, *self.hybrids)]
+        columns = [one for one in _COLUMNS if any(math.isfinite(getattr(s, one.field)) for b in blocks for s in b)]
         for model in self.models:
             before = "" if model.seconds_before is None else f"; {model.seconds_before:.2f} s before the first"
-            lines += ["", f"{model.name}: {_counted(model.stages)}{before}", *_rows(model.stages)]
+            lines += ["", f"{model.name}: {_counted(model.stages)}; {model.minimises}{before}"]
+            lines += _rows(model.stages, columns)
         for hybrid in self.hybrids:
             lines += [
                 "",
-                f"{hybrid.optimizer} from {hybrid.network}: {hybrid.iterations} iterations to objective "
-                f"{hybrid.objective:.6g}; from scratch {hybrid.iterations_from_scratch} to "
+                f"{hybrid.optimizer} started at the last picture of {hybrid.network}: {hybrid.iterations} iterations "
+                f"to objective {hybrid.objective:.6g}; at enlarged playback: {hybrid.iterations_from_scratch} to "
                 f"{hybrid.objective_from_scratch:.6g}.",
-                f"{hybrid.network} from the converged solution:",
-                *_rows(hybrid.stages),
+                f"{hybrid.network} started at the converged solution:",
+                *_rows(hybrid.stages, columns),
             ]
-        lines += ["", _LEGEND]
+        lines += ["", 'Columns ("-": the model has none, or it is not known):']
+        for one in columns:
+            lines += [f"  {one.name:<10}  " + one.meaning.replace("\n", "\n" + 14 * " ")]
         return "\n".join(lines) + "\n"
 
     def json(self) -> str:
@@ -160,6 +174,7 @@ class Comparison:
                 {
                     "name": model.name,
                     "result": model.status.name,
+                    "minimises": model.minimises,
                     "seconds_before": model.seconds_before,
                     "shown": list(model.pictures),
                     "stages": [asdict(stage) for stage in model.stages],
@@ -222,10 +237,12 @@ class Comparison:
         return paths
 
     def _caption(self, stage: StageMeasures) -> str:
-        judged = f"{stage.objective:.5g}" if self.truth is None else f"{stage.psnr:.2f} dB"
-        return f"t = {stage.number}: {judged}"
+        judged = f"objective {stage.objective:.5g}" if self.truth is None else f"{stage.psnr:.2f} dB"
+        return f"stage {stage.number}: {judged}"
 
 
+SHARED = "shared"
+"""`ModelStages.prior` of a model that minimises the objective by which all are compared."""
 FILES = ("stages.txt", "stages.json", "stages.png")
 """Names of the files that `Comparison.write` writes."""
 
@@ -239,51 +256,50 @@ def shown_stages(count: int, most: int = 6) -> tuple[int, ...]:
     return tuple(doubled[place] for place in places)
 
 
+class _Column(NamedTuple):
+    """A column of the table: its name, the field of `StageMeasures`, how it is written, its unit, and what it means,
+    a line or several."""
+
+    name: str
+    field: str
+    form: str
+    unit: float
+    meaning: str
+
+
 _COLUMNS = (
-    ("stage", "number", "d", 1.0),
-    ("objective", "objective", ".6g", 1.0),
-    ("own", "own_objective", ".6g", 1.0),
-    ("data", "data", ".6g", 1.0),
-    ("misfit", "residual", ".4f", 1.0),
-    ("distance", "distance", ".4f", 1.0),
-    ("change", "step", ".1e", 1.0),
-    ("downhill-R", "gradient_step_cosine", ".3f", 1.0),
-    ("downhill-X", "step_cosine", ".3f", 1.0),
-    ("PSNR", "psnr", ".2f", 1.0),
-    ("SSIM", "ssim", ".4f", 1.0),
-    ("seconds", "seconds", ".3g", 1.0),
-    ("GFLOP", "flops", ".3g", 1e9),
-)
-
-
-_LEGEND = """\
-Columns ("-": not known, or the model has none):
-  objective   what all models are compared by: Eq. 4, halved, with Huber-TV as the prior
-  own         what the model itself makes small: Eq. 4 with its own prior; a network has no such number
-  data        the part of the objective that the spikes contribute
-  misfit      by how much the picture misses a measurement, root mean square, intensity (1 = white)
-  distance    from the converged solution, relative to its norm
-  change      of the picture by this stage, relative to its norm
-  downhill-R  cosine between the gradient step (R) and the steepest descent of the data: 1 is straight down
-  downhill-X  the same of the whole stage (X), with the prior's or the network's step
-  PSNR, SSIM  against the truth, in dB and from 0 to 1, without 8 sensor pixels of border
-  seconds     since the first stage began, compiled; GFLOP: billions of operations until then"""
+    _Column("stage", "number", "d", 1.0, "an iteration of an optimizer, or a stage of a network"),
+    _Column("objective", "objective", ".6g", 1.0, "data + lambda times Huber total variation; compares all models"),
+    _Column("own", "own_objective", ".6g", 1.0, "what the model's iterations minimise: with its own prior and, where "
+            "the scene moves during\na measurement, with an approximation of data that is renewed now and then"),
+    _Column("data", "data", ".6g", 1.0, "half the weighted sum of squares by which the picture misses measurements"),
+    _Column("misfit", "residual", ".4f", 1.0, "root mean square of these misses, intensity (1 = white)"),
+    _Column("distance", "distance", ".4f", 1.0, "of the picture from the converged solution, relative to its norm"),
+    _Column("change", "step", ".1e", 1.0, "of the picture by this stage, relative to its norm"),
+    _Column("downhill-R", "gradient_step_cosine", ".3f", 1.0, "cosine between the stage's gradient step alone and the "
+            "steepest descent of data; 1: straight down"),
+    _Column("downhill-X", "step_cosine", ".3f", 1.0, "the same of the whole stage, after the step of prior or network"),
+    _Column("PSNR", "psnr", ".2f", 1.0, "against the truth, dB, without 8 sensor pixels at the border"),
+    _Column("SSIM", "ssim", ".4f", 1.0, "structural similarity to the truth, at most 1, without that border"),
+    _Column("seconds", "seconds", ".3g", 1.0, "since the first stage began, compiled"),
+    _Column("GFLOP", "flops", ".3g", 1e9, "billions of operations since the first stage began"),
+)  # fmt: skip
 
 
 def _counted(stages: Sequence[StageMeasures]) -> str:
     return f"{len(stages)} stage" + ("" if len(stages) == 1 else "s")
 
 
-def _rows(stages: Sequence[StageMeasures]) -> list[str]:
-    cells = [[name for name, *_ in _COLUMNS]]
+def _rows(stages: Sequence[StageMeasures], columns: Sequence[_Column]) -> list[str]:
+    cells = [[one.name for one in columns]]
     for number in shown_stages(len(stages)):
         stage = stages[number - 1]
-        values = [(getattr(stage, field), form, unit) for _, field, form, unit in _COLUMNS]
+        values = [(getattr(stage, field), form, unit) for _, field, form, unit, _ in columns]
         cells.append([
             format(value / unit if unit != 1 else value, form) if math.isfinite(value) else "-"
             for value, form, unit in values
         ])  # fmt: skip
-    widths = [max(len(row[place]) for row in cells) for place in range(len(_COLUMNS))]
+    widths = [max(len(row[place]) for row in cells) for place in range(len(columns))]
     return ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
 
 

@@ -70,7 +70,7 @@ class White:
     @property
     def sentence(self) -> str:
         """The white for people, in one line."""
-        return f"White: intensity {self.level:.3g}, {'found' if self.found else 'fixed'}: {self.reason}."
+        return f"Shown as white: intensity {self.level:.3g} ({self.reason})."
 
 
 def find_white(
@@ -92,11 +92,11 @@ def find_white(
         length = min(int(np.ceil(settings.window_spikes / bright)), frames)
         light, _, lost = _known_light(read, frames, length, white_rate, bad_pixels, settings)
     if light.size < settings.known_pixels:
-        return White(1.0, True, "no light is known, so it is that of the white rate")
+        return White(1.0, True, "too few pixels measure light, so it is that of the white rate")
     found = white_of(light, least=settings.least_spikes / (frames * white_rate), settings=settings)
     full = 1 / white_rate
     if lost > 1 - settings.quantile and settings.saturating_share * full <= found.level < full and found.level != 1:
-        return White(full, True, f"the light that saturates a pixel, as {100 * lost:.2g} % of them are")
+        return White(full, True, f"the light that saturates a pixel, as it does {100 * lost:.2g} % of them")
     return found
 
 
@@ -132,12 +132,12 @@ def white_of(
     **Arguments:** `least`: intensity below which light is mostly noise; white is not less, or 1.
     """
     high, median = float(np.quantile(light, settings.quantile)), float(np.median(light))
-    below = f"{100 * settings.quantile:.4g} % of the known light is"
+    below = f"{100 * settings.quantile:.4g} % of the measured light is"
     if abs(high - 1) <= settings.nominal_within:
-        return White(1.0, True, f"{below} below {high:.3g}, which is as good as 1")
+        return White(1.0, True, f"{below} below {high:.3g}, close enough to 1")
     bound = min(max(settings.least_of_median * median, least), 1.0)
     if high < bound:
-        return White(bound, True, f"{below} below {high:.3g}, too plain or too dim to be shown as white")
+        return White(bound, True, f"{below} below {high:.3g}, but a plain or dim scene stays grey")
     return White(high, True, f"{below} below it")
 
 

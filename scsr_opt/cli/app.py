@@ -93,18 +93,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _app()(given, exit_on_error=False, print_error=False)
             sys.stdout.flush()
         return code if isinstance(code, int) else 0
-    except KeyboardInterrupt:
-        return _fail("interrupted.", 130)
-    except _Terminated:
-        return _fail("terminated.", 143)
+    except (KeyboardInterrupt, _Terminated) as signalled:
+        return _ended_by(signalled)
     except BrokenPipeError:
         # Whoever read the output has seen enough. Python would complain once more when it closes the stream.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
+        if (signalled := _signal_behind(error)) is not None:
+            return _ended_by(signalled)
         if os.environ.get("SCSR_TRACEBACK"):
             raise
         return _fail(sentence(error), 2)
+
+
+def _signal_behind(error: BaseException) -> BaseException | None:
+    """What a signal raised and Python or a library made another error of, as happens while a module is imported; None
+    if there was no signal."""
+    behind: BaseException | None = error
+    while behind is not None and not isinstance(behind, KeyboardInterrupt | _Terminated):
+        behind = behind.__cause__ or behind.__context__
+    return behind
+
+
+def _ended_by(signalled: BaseException) -> int:
+    return _fail("terminated.", 143) if isinstance(signalled, _Terminated) else _fail("interrupted.", 130)
 
 
 def _fail(why: str, code: int) -> int:

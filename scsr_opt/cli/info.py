@@ -24,7 +24,8 @@ def info(
 ) -> int:
     """Show what is in a recording: size, duration, firing rates, pixels that look wrong.
 
-    Rates are in spikes per pixel and frame; the rate of a white pixel is what --white-rate is for.
+    Intensity 1 is the light of a pixel that fires at the white rate (--white-rate). The intensity that 8-bit pictures,
+    figures and films show as white is found from the recording.
     """
     recording, crop = (reading or Reading()).whole(file)
     facts = describe(recording if crop is None else recording.crop(*crop), progress(quiet))
@@ -79,20 +80,21 @@ def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[st
 
 def _lines(file: Path, facts: dict[str, Any]) -> list[str]:
     milliseconds = facts["duration"] * 1e3
-    bad = "not known" if facts["bad_pixels"] is None else f"{facts['bad_pixels']:,}"
+    bad = "none are marked" if facts["bad_pixels"] is None else f"{facts['bad_pixels']:,} are marked"
+    order, other = ("bottom-up", "--no-flip") if facts["stored_bottom_up"] else ("top-down", "--flip")
     table = {
         "sensor": f"{facts['width']} x {facts['height']} pixels",
         **({} if facts["crop"] is None else {"crop": "from row {}, column {}".format(*facts["crop"])}),
         "frames": f"{facts['frames']:,} at {facts['readout_rate']:g} Hz = {milliseconds:.4g} ms",
-        "rows stored": "bottom-up" if facts["stored_bottom_up"] else "top-down",
+        "row order": f"read as {order}; if scsr play shows the scene upside down, give {other}",
         "spikes": f"{facts['spikes']:,}, {facts['rate_mean']:.4g} per pixel and frame",
-        "firing rate": f"{facts['rate_low']:.4g} darkest, {facts['rate_median']:.4g} median, {facts['rate_high']:.4g} "
-        f"brightest (0.1 %, 50 %, 99.9 % of the pixels)",
-        "white rate": f"{facts['white_rate']:g} spikes per frame is taken for white",
-        "white shown": f"intensity {facts['white']['level']:.3g}, {facts['white']['rate']:.3g} spikes per frame: "
-        f"{facts['white']['reason']}",
-        "bad pixels": f"{bad}; never fired: {facts['silent_pixels']:,}; fired in every frame: "
-        f"{facts['always_firing_pixels']:,}",
+        "firing rate": f"{facts['rate_low']:.4g} (darkest pixels), {facts['rate_median']:.4g} (median), "
+        f"{facts['rate_high']:.4g} (brightest) spikes per frame; 0.1 % of the pixels are beyond either end",
+        "white rate": f"{facts['white_rate']:g} spikes per frame count as intensity 1; --white-rate changes it",
+        "shown white": f"intensity {facts['white']['level']:.3g}, that is {facts['white']['rate']:.3g} spikes per "
+        f"frame ({facts['white']['reason']})",
+        "bad pixels": f"{bad}; {facts['silent_pixels']:,} never fired, {facts['always_firing_pixels']:,} fired in "
+        f"every frame",
     }
     if facts["saturated"]:
         from scsr_opt.camera.saturation import said_of

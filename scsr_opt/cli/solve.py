@@ -161,7 +161,7 @@ def _left(result: Any, residual: float, positions: int) -> str:
     if result is not Status.converged:
         return f"The last iteration of the whole picture changed it by {100 * residual:.1g} %."
     # A quadratic stands in for what exposures have seen move (`scsr_opt.pipeline.outer_loop`).
-    held = ", motion blur held," if positions > 1 else ""
+    held = ", with the motion blur held fixed," if positions > 1 else ""
     return f"One more iteration{held} would change the picture by {100 * residual:.1g} % at most."
 
 

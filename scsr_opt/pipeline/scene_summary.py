@@ -33,17 +33,16 @@ class TileKind(enum.IntEnum):
 
 
 # Where nothing moves, and why its measurements may not be merged all the same.
-_AT_REST = "nothing moves: all spikes of a pixel make one measurement"
-_APART = "nothing moves: measurements are kept apart all the same, as merging saves little here or each is to be judged"
+_AT_REST = "nothing moves; all spikes of a pixel are merged into one measurement"
+_APART = "nothing moves; measurements are kept apart, as merging would save little or each is to be judged"
 _REASONS = {
     TileKind.STATIC: _AT_REST,
-    TileKind.UNIFORM: "nothing moves, and all pixels are equally bright: all spikes of a pixel make one measurement",
-    TileKind.MOVING: "something moves or changes: each interval between spikes has a place of its own, and those that "
-    "hardly move are merged",
-    TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel: all of them are used, and smoothed",
-    TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame: those intervals are left out",
-    TileKind.SATURATED: f"fires in {100 * SATURATED_SHARE:g} % of the frames or more: runs of spikes are one "
-    "measurement",
+    TileKind.UNIFORM: "nothing moves, all is equally bright; all spikes of a pixel are merged into one measurement",
+    TileKind.MOVING: "something moves or changes; each interval between spikes has its own place; slow ones are merged",
+    TileKind.DARK: "fewer than {dark_spikes:g} spikes a pixel; all are used, and the prior smooths the picture",
+    TileKind.FAST: "most of what is seen there is hidden or out of view in the key frame; those intervals are left out",
+    TileKind.SATURATED: f"pixels fire in {100 * SATURATED_SHARE:g} % of the frames or more; each run of spikes is "
+    "merged into one measurement",
 }
 
 
@@ -97,11 +96,15 @@ class SceneSummary:
         """Sentences for people: the scene, its samples, and how each kind of tile was handled."""
         saved = 100 * max(1 - self.samples / max(self.intervals, 1), 0)
         instead = f" instead of {self.intervals:,} ({saved:.0f} % fewer)" if self.samples != self.intervals else ""
-        text = [f"Scene: {self.scene}.", f"Measurements: {self.samples:,}{instead}."]
+        text = [
+            f"Scene: {self.scene}.",
+            f"Measurements: {self.samples:,}{instead}.",
+            f"Share of the sensor, by squares of {self.tile}x{self.tile} pixels:",
+        ]
         for kind in sorted(TileKind, key=self.share, reverse=True):
             share = 100 * self.share(kind)
             if share > 0:
-                text.append(f"{f'{share:.0f}' if share >= 1 else 'under 1'} % of the tiles: {self.reason(kind)}.")
+                text.append(f"  {f'{share:.0f}' if share >= 1 else 'under 1'} %: {self.reason(kind)}.")
         return text
 
 

@@ -66,7 +66,7 @@ class Diagnostics:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class Solution:
     """A reconstruction. Its arrays are the caller's own: `solution.image *= 255` is fine.
 
@@ -88,22 +88,29 @@ class Solution:
     """
 
     image: Float[np.ndarray, "H W"]
-    recording: Recording = field(repr=False)
+    recording: Recording
     scale: int
     key: int
     white_rate: float
     status: Status
     crop: tuple[int, int, int, int] | None = None
-    stages: tuple[Stage, ...] = field(default=(), repr=False)
+    stages: tuple[Stage, ...] = ()
     diagnostics: Diagnostics = Diagnostics()
-    motion: Motion | None = field(default=None, repr=False)
-    gain: Float[np.ndarray, "h w"] | None = field(default=None, repr=False)
-    bad_pixels: BadPixels | None = field(default=None, repr=False)
-    light: Light | None = field(default=None, repr=False)
-    scene: SceneSummary | None = field(default=None, repr=False)
-    tiles: TileIterations | None = field(default=None, repr=False)
+    motion: Motion | None = None
+    gain: Float[np.ndarray, "h w"] | None = None
+    bad_pixels: BadPixels | None = None
+    light: Light | None = None
+    scene: SceneSummary | None = None
+    tiles: TileIterations | None = None
     white: White = White()
-    state: Any = field(default=None, repr=False)
+    state: Any = None
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape
+        return (
+            f"Solution({self.recording.name!r}, key frame {self.key}, {width}x{height} (x{self.scale}): "
+            f"{self.status.message} See .image, .plot(), .diagnostics)"
+        )
 
     @property
     def part(self) -> Recording:

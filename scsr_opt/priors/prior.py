@@ -2,10 +2,12 @@
 
 import abc
 import dataclasses
-from typing import ClassVar, Generic, TypeVar
+from collections.abc import Callable
+from typing import Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
 import jax
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -71,8 +73,26 @@ class Prior(eqx.Module, Generic[State]):
     def check(self, shape: tuple[int, int]) -> None:
         """Looks whether the prior can be used with pictures of this shape, before anything is computed.
 
-        **Raises:** `InputError` if not. Priors that call a function of the user try it; all others accept any shape.
+        A prior of one's own is tried on shapes alone. Those of this package accept any shape, but for those that call
+        a function of the user, which they try.
+
+        **Raises:** `InputError` if it cannot be used.
         """
+        if type(self).__module__.partition(".")[0] in ("scsr_opt", "learned"):
+            return
+        image, number = jax.ShapeDtypeStruct(shape, np.float32), jax.ShapeDtypeStruct((), np.float32)
+        found = _tried(self, "value", shape, self.value, image)
+        if jax.tree.leaves(jax.tree.map(np.shape, found)) or getattr(found, "dtype", None) is None:
+            raise InputError(f"{type(self).__name__}.value must return one number, but it returns {_shapes(found)}.")
+        if not self.has_prox:
+            return
+        state = _tried(self, "initial_state", shape, self.initial_state, image)
+        found = _tried(self, "prox", shape, self.prox, image, number, state)
+        if _shapes(found) != _shapes((image, state)):
+            raise InputError(
+                f"{type(self).__name__}.prox must return a picture of the shape {shape} that it was given and a state "
+                f"like that of initial_state, {_shapes((image, state))}, but it returns {_shapes(found)}."
+            )
 
     def with_inner_iterations(self, iterations: int) -> "Prior":
         """This prior with at least `iterations` inner iterations of its proximal step, for a step that starts anew and
@@ -92,3 +112,21 @@ class Prior(eqx.Module, Generic[State]):
         """argmin over X of ½‖X − image‖² + strength · Ψ(X), and the state for the next call; with a strength for each
         pixel where the prior is `separable`."""
         raise InputError(f"{type(self).__name__} has no proximal step; use LBFGS or NonlinearCG, or define prox.")
+
+
+def _tried(prior: Prior[Any], name: str, shape: tuple[int, int], method: Callable[..., Any], *arguments: Any) -> Any:
+    """What a method gives, shapes alone. **Raises:** `InputError` for whatever error the method of a user raises."""
+    try:
+        return jax.eval_shape(method, *arguments)
+    except InputError:
+        raise
+    except Exception as error:
+        said = str(error).strip().split("\n")[0].rstrip(".")
+        raise InputError(
+            f"{type(prior).__name__}.{name} raised {type(error).__name__} for a picture of shape {shape}: {said}."
+        ) from error
+
+
+def _shapes(tree: Any) -> str:
+    """The shapes of the arrays in nested tuples, for a message: `((24, 32), ())`."""
+    return str(jax.tree.map(lambda leaf: tuple(np.shape(leaf)), tree)).replace("'", "")

@@ -193,7 +193,7 @@ def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
             if (colour := _OF_KIND[kind]) is not None:
                 colours[scene.kind == kind] = to_rgba(colour, 0.35)
         _tiled(axes, solution.image, solution.white.level, colours, scene.tile * solution.scale)
-        named = _as_text(title or "What each tile is")
+        named = _as_text(title or f"What each square of {scene.tile}×{scene.tile} sensor pixels needed")
         axes.set_title(named, loc="left", fontsize=10, parse_math=False)
         if tiles is not None:
             x = _MARGIN + column + _GUTTER

@@ -21,6 +21,14 @@ from scsr_opt.solvers.record import Stage
 
 UNEXPLAINED_SHARE = 0.1
 """Share of the sensor whose brightness changes for no reason that was found, from which on a reader is told."""
+# Kinds of bad pixels (`scsr_opt.calibration.PixelKind`) for a reader.
+_KINDS = {
+    "given": "as marked",
+    "dead": "dead",
+    "hot": "always firing",
+    "isolated": "unlike all pixels around",
+    "resting": "that stay as they are while the scene moves, as dust does",
+}
 _VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")
 
 
@@ -120,15 +128,14 @@ class Report:
             f"{made['key']} -> {made['width']}x{made['height']} (x{made['scale']})"
         ]
         if self.motion is not None:
-            lines.append(
-                f"Motion: {self.motion['mean_speed']:.3g} sensor pixels per frame in the mean, "
-                f"{self.motion['top_speed']:.3g} at most."
-            )
+            mean, top = self.motion["mean_speed"], self.motion["top_speed"]
+            said = f"{mean:.3g} sensor pixels per frame in the mean, {top:.3g} at most" if top else "none"
+            lines.append(f"Motion: {said}.")
         if self.diagnostics["saturated"]:
             lines.append(f"Saturated: {said_of(self.diagnostics['saturated'])}.")
         numbers = {kind: n for kind, n in (self.diagnostics["bad_pixels"] or {}).items() if n}
         if numbers:
-            kinds = ", ".join(f"{n:,} {kind}" for kind, n in numbers.items())
+            kinds = ", ".join(f"{n:,} {_KINDS[kind]}" for kind, n in numbers.items())
             lines.append(f"Bad pixels: {sum(numbers.values()):,} are not used: {kinds}.")
         lines += _of_light(self.diagnostics)
         iterations = self.diagnostics["iterations"]

@@ -118,10 +118,13 @@ class TileIterations:
         text = [f"Iterations: {self.global_iterations} of the whole picture"]
         if further:
             most = int(self.tile_iterations.max())
-            text[0] += f"; {further} of its {of} tiles had up to {most} more, the others were finished"
+            text[0] += (
+                f", then up to {most} more on {further} of its {of} squares of {self.tile_side}x{self.tile_side} "
+                f"pixels; the others had converged"
+            )
         if np.isfinite(self.largest_change):
             text.append(
-                f"One more iteration would change no tile by more than {100 * self.largest_change:.1g} % of the "
-                f"picture's level (limit: {100 * self.change_limit:.1g} %)"
+                f"One more iteration would change no square by more than {100 * self.largest_change:.1g} % of the "
+                f"picture's root mean square (limit: {100 * self.change_limit:.1g} %)"
             )
         return [f"{line}." for line in text]

@@ -42,7 +42,8 @@ def written(tmp_path):
 
     def run(benchmark: command.Benchmark, *parts: dict) -> str:
         page, kept = tmp_path / "page.md", tmp_path / "found.json"
-        page.write_text(f"before\n{command.MARKS[0]}\nold\n{command.MARKS[1]}\nafter\n", encoding="utf-8")
+        begin, end = command.marks("measured")
+        page.write_text(f"before\n{begin}\nold\n{end}\nafter\n", encoding="utf-8")
         benchmark = benchmark._replace(measure=lambda options: iter(parts))
         command.main(benchmark, ["--json", str(kept), "--page", str(page), "--quick"])
         text = page.read_text(encoding="utf-8")

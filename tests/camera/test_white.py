@@ -85,6 +85,6 @@ def test_white_that_is_no_intensity_is_refused(level):
         White.given(level)
 
 
-def test_white_sentence_says_whether_it_was_found():
-    assert White.given(2.0).sentence == "White: intensity 2, fixed: as given."
-    assert "found" in found(0.5 * RAMP).sentence
+def test_white_sentence_says_why():
+    assert White.given(2.0).sentence == "Shown as white: intensity 2 (as given)."
+    assert "of the measured light is below" in found(0.5 * RAMP).sentence

@@ -111,10 +111,15 @@ def test_interrupting_says_so(scsr, monkeypatch, file):
     assert "interrupted." in scsr("info", file, code=130)
 
 
-def test_terminating_ends_cleanly(here):
-    """SIGTERM in the middle of the work: one line, exit code 143, and no file half written."""
+@pytest.mark.parametrize("while_importing", [False, True])
+def test_terminating_ends_cleanly(here, while_importing):
+    """SIGTERM in the middle of the work: one line, exit code 143, and no file half written; also where Python makes
+    another error of it, as from `__set_name__` while a module is imported."""
     write = "import time; from scsr_opt._files import whole_file\nwith whole_file('a.png') as t: t.touch(); {}"
     work = write.format("print('begun', flush=True); time.sleep(60)").replace("\n", "\n    ")
+    if while_importing:
+        name = work.replace("\n", "\n        ")
+        work = f"class Name:\n        def __set_name__(*_):\n            {name}\n    class Slow: name = Name()"
     code = f"""
 import sys, scsr_opt.cli.app as app, scsr_opt.camera
 def read(*_, **__):

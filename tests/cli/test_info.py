@@ -14,7 +14,8 @@ def test_info(scsr, file, spikes):
     said = scsr("info", file)
     assert "40 x 24 pixels" in said and "31 at 40000 Hz = 0.775 ms" in said
     assert f"{spikes.sum():,}, {spikes.mean():.4g} per pixel and frame" in said
-    assert f"never fired: {(spikes.sum(0) == 0).sum()}" in said
+    assert f"none are marked; {(spikes.sum(0) == 0).sum()} never fired" in said
+    assert "read as top-down; if scsr play shows the scene upside down, give --flip" in said
     assert scsr("info", file, "--quiet") == ""
 
 

@@ -34,7 +34,7 @@ def test_solve_writes_all_that_was_asked_for(scsr, file, asked, spikes):
     lines = said.splitlines()
     assert lines[0] == "ramp: 31 frames of 40x24, key frame 10 -> 80x48 (x2)"
     assert lines[2].startswith("2 iterations in ") and lines[2].endswith("The picture meets the tolerance.")
-    assert lines[3:] == ["White: intensity 1, fixed: nominal.", "a.png", "a.json", "f.png"]
+    assert lines[3:] == ["Shown as white: intensity 1 (nominal).", "a.png", "a.json", "f.png"]
     (call,) = asked
     assert (np.asarray(call["spikes"]) == spikes).all() and call["spikes"].white_rate == 0.6
     assert call["key"] == 10 and call["scale"] == 2
@@ -62,7 +62,7 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     solution = solved(np.zeros((48, 80), np.float32), stages=stages, diagnostics=diagnostics, scene=scene)
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
-    assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "33 % of the tiles: nothing moves" in said
+    assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "  33 %: nothing moves" in said
     assert "Solver: data-proximal, which is faster where nothing moves." in said and "Time: motion 0.50 s." in said
     assert "One more iteration would change the picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
@@ -79,9 +79,9 @@ def test_where_the_iteration_went_on_is_told_and_shown(scsr, file, monkeypatch):
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     given = ("--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png", "--report", "a.json")
     said = scsr("solve", file, *given)
-    assert "Iterations: 7 of the whole picture; 1 of its 2 tiles had up to 12 more, the others were finished." in said
-    assert "One more iteration, motion blur held, would change the picture by 0.005 % at most." in said
-    assert "One more iteration would change no tile by more than 0.08 % of the picture's level (limit: 0.1 %)." in said
+    assert "Iterations: 7 of the whole picture, then up to 12 more on 1 of its 2 squares of 64x64 pixels; " in said
+    assert "One more iteration, with the motion blur held fixed, would change the picture by 0.005 % at most." in said
+    assert "One more iteration would change no square by more than 0.08 % of the picture's root mean square" in said
     told = json.loads(Path("a.json").read_text())
     assert told["tiles"] == {
         "tiles": 2, "tiles_iterated_further": 1, "most_iterations": 19, "largest_change": 8e-4, "change_limit": 1e-3

@@ -156,18 +156,35 @@ def test_json_has_all_stages_and_finite_numbers(compared):
 
 def test_the_table_has_a_block_for_each_model(compared):
     table = compared.table()
-    for row in compared.models:
-        assert f"\n{row.name}: {len(row.stages)} stages; " in table
-    assert f"fista-huber from {compared.models[1].name}: {compared.hybrids[0].iterations} iterations" in table
+    ista, plain = compared.models
+    assert f"\n{ista.name}: {len(ista.stages)} stages; minimises the objective; " in table
+    assert f"\n{plain.name}: 2 stages; trained towards true pictures, makes no column small; " in table
+    other = dataclasses.replace(ista, prior="TotalVariation")
+    assert "minimises 'own', with the prior TotalVariation" in dataclasses.replace(compared, models=(other,)).table()
+    started = f"fista-huber started at the last picture of {plain.name}: {compared.hybrids[0].iterations} iterations"
+    assert started in table
     lines = table.splitlines()
     head = lines.index(next(line for line in lines if "PSNR" in line))
     assert lines[head + 1].split()[0] == "1" and len(lines[head].split()) == len(lines[head + 1].split())
     assert len(lines[head]) == len(lines[head + 1])  # right-aligned columns
-    legend = "\n".join(lines[lines.index('Columns ("-": not known, or the model has none):') :])
-    assert all(column in legend for column in lines[head].replace("stage ", "").split())
+    legend = lines[lines.index('Columns ("-": the model has none, or it is not known):') + 1 :]
+    assert [line.split()[0] for line in legend if line[2] != " "] == lines[head].split()
     own = lines[head].split().index("own")
     network = lines.index(next(line for line in lines if line.startswith(f"{compared.models[1].name}:")))
     assert lines[network + 2].split()[own] == "-"  # a network makes no objective small
+
+
+def test_the_table_leaves_out_columns_of_which_nothing_is_known(compared):
+    def blind(stages):
+        unknown = dict.fromkeys(("psnr", "ssim", "seconds", "flops"), math.nan)
+        return tuple(dataclasses.replace(stage, **unknown) for stage in stages)
+
+    def blinded(rows):
+        return tuple(dataclasses.replace(row, stages=blind(row.stages)) for row in rows)
+
+    known = dataclasses.replace(compared, models=blinded(compared.models), hybrids=blinded(compared.hybrids)).table()
+    assert not [name for name in ("PSNR", "SSIM", "seconds ", "GFLOP") if f"  {name}" in known]
+    assert "downhill-X" in known
 
 
 def test_the_figure_has_a_row_a_model(compared):
@@ -176,11 +193,12 @@ def test_the_figure_has_a_row_a_model(compared):
     assert shown == [6, 2]
     assert len(drawn.axes) == sum(shown) + len(shown) + 3  # each row's whole picture; last, the whole and two ends
     titles = [axes.get_title(loc="left") for axes in drawn.axes]
-    assert titles[-2:] == ["converged", "truth"] and titles[6] == f"t = {len(compared.models[0].stages)}: " + (
+    assert titles[-2:] == ["converged", "truth"] and titles[6] == f"stage {len(compared.models[0].stages)}: " + (
         f"{compared.models[0].stages[-1].psnr:.2f} dB"
     )
     blind = dataclasses.replace(compared, truth=None).figure()
-    assert f"t = 1: {compared.models[0].stages[0].objective:.5g}" in [a.get_title(loc="left") for a in blind.axes]
+    first = f"stage 1: objective {compared.models[0].stages[0].objective:.5g}"
+    assert first in [axes.get_title(loc="left") for axes in blind.axes]
     assert len(blind.axes) == len(drawn.axes) - 1
 
 

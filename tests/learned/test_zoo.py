@@ -193,7 +193,7 @@ def test_a_network_is_compiled_to_need_little_memory(monkeypatch):
     assert again() == {}
 
 
-def test_functions_for_the_scoreboard(shelf, recording):
+def test_functions_by_name(shelf, recording):
     spikes = np.asarray(recording.spikes)
     function = importlib.import_module("learned").spikesr_small
     found = function(spikes, scale=2, key=20, white_rate=0.6)

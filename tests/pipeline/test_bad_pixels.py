@@ -42,7 +42,8 @@ def test_reconstruct_finds_bad_pixels_and_says_which(solution):
     assert solution.bad_pixels.kind[DEAD] == PixelKind.DEAD and solution.bad_pixels.kind[HOT] == PixelKind.HOT
     assert solution.diagnostics.bad_pixels == {"given": 0, "dead": 1, "hot": 1, "isolated": 0, "resting": 0}
     report = solution.report()
-    assert report.recording["bad_pixels"] == 2 and "Bad pixels: 2 are not used: 1 dead, 1 hot." in report.lines()
+    assert report.recording["bad_pixels"] == 2
+    assert "Bad pixels: 2 are not used: 1 dead, 1 always firing." in report.lines()
     titles = [axes.get_title(loc="left") for axes in solution.plot().axes]
     assert "Motion: none; 2 bad pixels" in titles
 

@@ -197,7 +197,7 @@ def test_shortcuts_still_parts_are_merged_beside_what_moves():
     λ = looked_for.diagnostics.strength
     full, given = both(spikes, SCALE, strength=λ)
     assert looked_for.scene is not None and given.scene is not None
-    for summary, words in ((looked_for.scene, "are kept apart"), (given.scene, "make one measurement")):
+    for summary, words in ((looked_for.scene, "are kept apart"), (given.scene, "merged into one measurement")):
         assert 0.3 < summary.share(TileKind.STATIC) + summary.share(TileKind.UNIFORM) < 1
         assert any("nothing moves" in line and words in line for line in summary.lines())
     # About half of the sensor rests, and an interval there lasts three frames.

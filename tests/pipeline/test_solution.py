@@ -92,8 +92,10 @@ def test_tile_iterations_lines_say_what_was_iterated_further():
     further, none = np.array([[0, 12], [3, 0]]), np.zeros((2, 2), int)
     some = TileIterations(7, further, 64, 8e-4, 1e-3).lines()
     assert some == [
-        "Iterations: 7 of the whole picture; 2 of its 4 tiles had up to 12 more, the others were finished.",
-        "One more iteration would change no tile by more than 0.08 % of the picture's level (limit: 0.1 %).",
+        "Iterations: 7 of the whole picture, then up to 12 more on 2 of its 4 squares of 64x64 pixels; the others had "
+        "converged.",
+        "One more iteration would change no square by more than 0.08 % of the picture's root mean square (limit: "
+        "0.1 %).",
     ]
     assert TileIterations(7, none, 64, float("nan"), 1e-3).lines() == ["Iterations: 7 of the whole picture."]
 

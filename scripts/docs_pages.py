@@ -32,7 +32,8 @@ PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "LICENSE")
 PACKAGES = (
     "scsr_opt", "scsr_opt.camera", "scsr_opt.camera.scenes", "scsr_opt.motion", "scsr_opt.calibration",
     "scsr_opt.operators", "scsr_opt.priors", "scsr_opt.solvers", "scsr_opt.pipeline", "scsr_opt.baselines",
-    "scsr_opt.report", "scsr_opt.progress", "scsr_opt.errors", "learned", "learned.zoo", "learned.evaluation.compare",
+    "scsr_opt.report", "scsr_opt.sequences", "scsr_opt.progress", "scsr_opt.errors", "learned", "learned.zoo",
+    "learned.evaluation.compare",
     "learned.evaluation.stage_report", "learned.evaluation.reference_problem", "learned.evaluation.inference",
     "learned.networks.encoder", "learned.networks.gradient", "learned.networks.fusion", "learned.networks.proximal",
     "learned.networks.spikesr", "learned.networks.unrolled_ista", "learned.networks.velocity",

@@ -119,7 +119,20 @@ def test_reference_has_an_entry_for_every_name():
 
 def test_command_line_page_has_every_command():
     page = _tool().command_line_page()
-    for name in ("info", "simulate", "play", "solve", "film", "baseline", "compare", "train", "warm", "cache", "demo"):
+    for name in (
+        "info",
+        "simulate",
+        "play",
+        "solve",
+        "sequence",
+        "export",
+        "baseline",
+        "compare",
+        "train",
+        "warm",
+        "cache",
+        "demo",
+    ):
         assert f"## scsr {name}\n\n```text\nUsage: scsr {name} " in page
     assert "--strength" in page
 

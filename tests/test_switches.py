@@ -165,7 +165,7 @@ def test_platforms_device_that_is_not_there_is_said_in_one_sentence(tmp_path):
 _COMMANDS = [
     "solve a.npy -o b.png",
     "solve a.npy -o b.png --prior ridge",  # whose weights are arrays of JAX's before the solve begins
-    "film a.npy -o b.gif",
+    "sequence a.npy -o b.gif",
     "baseline a.npy -o b.png",
     "demo -o demo",
 ]

@@ -20,10 +20,10 @@ from scsr_opt.cli.baseline import baseline
 from scsr_opt.cli.cache import cache, warm
 from scsr_opt.cli.calibrate import calibrate
 from scsr_opt.cli.demo import demo
-from scsr_opt.cli.film import film
 from scsr_opt.cli.info import info
 from scsr_opt.cli.options import say_error
 from scsr_opt.cli.play import play
+from scsr_opt.cli.sequence import export, sequence
 from scsr_opt.cli.simulate import simulate
 from scsr_opt.cli.solve import solve
 from scsr_opt.cli.wording import sentence
@@ -57,7 +57,8 @@ def _app() -> App:
         simulate,
         play,
         solve,
-        film,
+        sequence,
+        export,
         baseline,
         demo,
         warm,

@@ -201,20 +201,27 @@ def key_frame(recording: "scsr_opt.camera.Recording", key: int | None) -> int:
 
 
 def moments(
-    recording: "scsr_opt.camera.Recording", start: int, stop: int | None, step: int | None, *, about: int
+    recording: "scsr_opt.camera.Recording",
+    start: int,
+    stop: int | None,
+    step: int | None,
+    *,
+    about: int,
+    option: str = "step",
 ) -> range:
-    """The frames that a film shows, from `start` to before `stop`, `about` this number where no step is given.
+    """The frames that a film or a sequence shows, from `start` to before `stop`, `about` this number where no step is
+    given. `option`: name of the option of the step.
 
     **Raises:** `InputError` for frames that the recording has not, or a step below 1.
     """
     last = recording.frames if stop is None else stop
     if not 0 <= start < last <= recording.frames:
         raise InputError(
-            f"A film from frame {start} to {last} does not lie in the recording, which has {recording.frames} frames: "
+            f"Frames {start} to {last} (excluded) are not in the recording, which has {recording.frames} frames: "
             f"choose 0 <= --start < --stop <= {recording.frames}."
         )
     if step is not None and step < 1:
-        raise InputError(f"--step is {step}, but pictures of a film are at least 1 frame apart.")
+        raise InputError(f"--{option} is {step}, but pictures are at least 1 frame apart.")
     return range(start, last, max(1, (last - start) // about) if step is None else step)
 
 

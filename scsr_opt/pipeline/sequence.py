@@ -96,6 +96,14 @@ def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
     return tuple(whole(key, f"keys[{number}]", 0, recording.frames - 1) for number, key in enumerate(frames))
 
 
+def common(recording: Recording, keys: tuple[int, ...], scale: int, options: Options) -> tuple[Options, White]:
+    """What all pictures of a sequence have in common: the options, with bad pixels as its middle picture finds them
+    where they are to be found, and white."""
+    if options.finds_bad_pixels:
+        options = replace(options, bad_pixels=_bad_pixels(task_of(recording, scale, keys[len(keys) // 2], options)))
+    return options, _white(recording, keys, options)
+
+
 def _bad_pixels(task: Task) -> BadPixels:
     """Bad pixels for all pictures of a sequence, as its middle one finds them."""
     frames = task.motion_frames(task.options.known_gain)
@@ -154,9 +162,8 @@ def _pictures(
     options: Options,
     progress: Progress | None,
 ) -> Generator[Solution, None, None]:
-    if options.finds_bad_pixels:
-        options = replace(options, bad_pixels=_bad_pixels(task_of(recording, scale, keys[len(keys) // 2], options)))
-    settings, white = options.settings.sequence, _white(recording, keys, options)
+    options, white = common(recording, keys, scale, options)
+    settings = options.settings.sequence
 
     def moments(
         wanted: Iterable[SupportsIndex], followed: _Followed | None

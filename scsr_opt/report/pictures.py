@@ -240,8 +240,8 @@ def write_film(
     `numpy.save`, once the new one is whole.
 
     **Arguments:**
-    - `path`: ends in `.gif` or `.mp4`. MP4 needs the program `ffmpeg`, and even sides: an odd one gets a black row or
-      column more, which a warning says.
+    - `path`: ends in `.gif` or `.mp4`. MP4 needs the program `ffmpeg`, of the machine or of the package
+      imageio-ffmpeg, and even sides: an odd one gets a black row or column more, which a warning says.
     - `frames`: pictures (H, W), linear intensity, all of one size.
     - `rate`: pictures per second. A GIF counts in hundredths of a second, so it comes out at the nearest such rate.
     - `gamma`: as in `PictureFormat`. `white`: intensity of the largest grey level in all of its pictures.
@@ -351,10 +351,19 @@ def _write_mp4(
 
 
 def _encoder() -> str:
+    """The machine's ffmpeg, or the one that the package imageio-ffmpeg brings."""
     found = shutil.which("ffmpeg")
-    if found is None:
-        raise InputError("An MP4 needs the program ffmpeg, which is not on this machine: install it, or write a .gif.")
-    return found
+    if found is not None:
+        return found
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        return get_ffmpeg_exe()
+    except (ImportError, RuntimeError):  # the latter on systems that the package has no program for
+        raise InputError(
+            "An MP4 needs the program ffmpeg, which is not on this machine: pip install 'scsr-opt[sequence]' brings "
+            "one, or write a .gif."
+        ) from None
 
 
 def _checked(image: Any, what: str = "The picture") -> Float[np.ndarray, "H W"]:

@@ -9,8 +9,21 @@ if TYPE_CHECKING:
     import rich.progress
 
 
+def speed(done: int, total: int | None, seconds: float) -> str:
+    """The rate of `done` steps of `total` in `seconds`, and how long the rest takes at that rate, in words; empty where
+    neither is known."""
+    if total is None or not 0 < done < total or seconds <= 0:
+        return ""
+    each = seconds / done
+    rate = f"{1 / each:.2g} per second" if each < 1 else f"{each:.2g} s each"
+    left = each * (total - done)
+    shown = f"{left:.0f} s" if left < 120 else f"{left / 60:.0f} min" if left < 7200 else f"{left / 3600:.0f} h"
+    return f"{rate}, {shown} left"
+
+
 class LineProgress:
-    """A line on standard error every `every` seconds, for logs and pipes: what is done, how far, for how long.
+    """A line on standard error every `every` seconds, for logs and pipes: what is done, how far, how fast, how much
+    longer, for how long.
 
     Lines come from a thread and not from `advance`, so that they also appear while a program is compiled. Work that
     takes less than `every` seconds shows nothing.
@@ -19,6 +32,7 @@ class LineProgress:
     def __init__(self, *, every: float = 30.0, file: IO[str] | None = None):
         self._every, self._file = every, file
         self._began: float | None = None
+        self._part_began = 0.0
         self._next = 0.0  # when the next line is due
         self._what = ""
         self._total: int | None = None
@@ -29,8 +43,9 @@ class LineProgress:
         """Begins a part; lines of work that has several parts count from the first one."""
         self.finish()
         self._what, self._total, self._done = what, total, 0
+        self._part_began = time.monotonic()
         if self._began is None:
-            self._began = time.monotonic()
+            self._began = self._part_began
             self._next = self._began + self._every
         self._ended = threading.Event()
         threading.Thread(target=self._lines, args=(self._ended, self._began), daemon=True).start()
@@ -48,13 +63,15 @@ class LineProgress:
     def _lines(self, ended: threading.Event, began: float) -> None:
         while not ended.wait(max(self._next - time.monotonic(), 0)):
             self._next = time.monotonic() + self._every  # from now on: a compiler may have held all threads up
-            of = "" if self._total is None else f": {self._done} of {self._total}"
+            fast = speed(self._done, self._total, time.monotonic() - self._part_began)
+            of = "" if self._total is None else f": {self._done} of {self._total}{fast and f', {fast}'}"
             said = f"scsr: {self._what[:1].lower()}{self._what[1:]}{of} ({time.monotonic() - began:.0f} s)"
             print(said, file=self._file or sys.stderr, flush=True)
 
 
 class RichProgress:
-    """A bar on standard error, shown once a part of the work has taken longer than `delay` seconds.
+    """A bar on standard error, with the time that is left, once a part of the work has taken longer than `delay`
+    seconds.
 
     The bar is drawn from a timer and not from `advance`, so that it appears while a first compilation keeps the first
     `advance` waiting. It is removed when its part is over: what is left on the screen is the command's own output.
@@ -69,12 +86,13 @@ class RichProgress:
         self._what = ""
         self._total: int | None = None
         self._done = 0
+        self._began = 0.0
 
     def start(self, total: int | None, what: str) -> None:
         """Sets the timer after which the bar of this part is shown."""
         self.finish()
         with self._lock:
-            self._what, self._total, self._done = what, total, 0
+            self._what, self._total, self._done, self._began = what, total, 0, time.monotonic()
             self._timer = threading.Timer(self._delay, self._show)
             self._timer.daemon = True
             self._timer.start()
@@ -84,7 +102,7 @@ class RichProgress:
         with self._lock:
             self._done += done
             if self._bar is not None:
-                self._bar.update(self._bar.task_ids[0], completed=self._done)
+                self._bar.update(self._bar.task_ids[0], completed=self._done, speed=self._speed())
 
     def finish(self) -> None:
         """Removes the bar, or its timer."""
@@ -95,6 +113,9 @@ class RichProgress:
             if self._bar is not None:
                 self._bar.stop()
                 self._bar = None
+
+    def _speed(self) -> str:
+        return speed(self._done, self._total, time.monotonic() - self._began)
 
     def _show(self) -> None:
         from rich.console import Console
@@ -109,8 +130,9 @@ class RichProgress:
                 BarColumn(),
                 TaskProgressColumn(),
                 TimeElapsedColumn(),
+                TextColumn("{task.fields[speed]}"),
                 console=console,
                 transient=True,
             )
-            self._bar.add_task(self._what, total=self._total, completed=self._done)
+            self._bar.add_task(self._what, total=self._total, completed=self._done, speed=self._speed())
             self._bar.start()

@@ -9,6 +9,7 @@ import pytest
 
 import scsr_opt
 from scsr_opt.baselines import tfp_bicubic
+from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera import read_recording, tfp, write_recording
 from scsr_opt.errors import InputError
 from scsr_opt.operators import Blur
@@ -91,16 +92,17 @@ def test_solve_hands_on_the_crop_and_reports_it(scsr, noise, monkeypatch):
         assert stored["crop"].tolist() == list(CROP)
 
 
-def test_film_hands_on_the_crop(scsr, noise, monkeypatch):
+def test_sequence_hands_on_the_crop(scsr, noise, monkeypatch):
     calls = []
 
-    def sequence(recording, keys, *, scale, crop):
-        calls.append((recording.shape, crop))
+    def sequence(recording, keys, *, scale, options):
+        calls.append((recording.shape, options.crop))
         for _ in keys:
             yield solved(recording, motion_carried=False)
 
-    monkeypatch.setattr(scsr_opt, "reconstruct_sequence", sequence, raising=False)
-    scsr("film", "noise.npz", "-o", "a.gif", "--step", "10", "--scale", "2", *CROPPED)
+    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", sequence)
+    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
+    scsr("sequence", "noise.npz", "-o", "a.gif", "--every", "10", "--scale", "2", *CROPPED)
     assert calls == [((FRAMES, HEIGHT, WIDTH), CROP)]
 
 
@@ -145,9 +147,9 @@ SIZE = "which has 24 rows and 40 columns: choose a height and a width of at leas
         ("", "--crop is , but"),
     ],
 )
-@pytest.mark.parametrize("command", ["info", "play", "solve", "film", "baseline", "compare"])
+@pytest.mark.parametrize("command", ["info", "play", "solve", "sequence", "baseline", "compare"])
 def test_a_crop_that_is_none_is_refused_before_the_work(scsr, here, noise, asked, command, crop, message):
-    outputs = {"info": (), "film": ("-o", "a.gif"), "compare": ("-o", "out", "--models", "fista-tv")}
+    outputs = {"info": (), "sequence": ("-o", "a.gif"), "compare": ("-o", "out", "--models", "fista-tv")}
     said = scsr(command, "noise.npz", *outputs.get(command, ("-o", "a.png")), f"--crop={crop}", code=2)
     assert message in said
     assert asked == [] and os.listdir(here) == ["noise.npz"]

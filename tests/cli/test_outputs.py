@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import scsr_opt
+from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.solvers import Status
 
@@ -17,7 +17,8 @@ FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 
 COMMANDS = {
     "solve": ("solve ramp.npz -o a.png --report a.json --figure f.pdf", ["a.png", "a.json", "f.pdf"]),
-    "film": ("film ramp.npz -o a.gif --step 10 --pictures .", ["a.gif", "00.tif", "10.tif", "20.tif", "30.tif"]),
+    "sequence": ("sequence ramp.npz -o a.gif --every 10", ["a.gif"]),
+    "sequence of numbers": ("sequence ramp.npz -o a.npy --every 10 --scale 1", ["a.npy", "a.csv"]),
     "play": ("play ramp.npz -o a.tif", ["a.tif"]),
     "play by default": ("play ramp.npz --method tfi", ["ramp_tfi.png"]),
     "play a film": ("play ramp.npz -o a.gif --step 10", ["a.gif"]),
@@ -40,11 +41,11 @@ def sequences(monkeypatch, asked, file) -> list[dict]:
     """Puts quick stand-ins in the place of `sequence` and `reconstruct`; returns what they were called with."""
     Image.fromarray(np.full((48, 64), 100, np.uint8)).save("flat.png")
 
-    def stand_in(recording, keys, *, scale, **others):
-        asked.append({"spikes": recording, "keys": keys, "scale": scale, **others})
+    def stand_in(recording, keys, *, scale, options):
+        asked.append({"spikes": recording, "keys": keys, "scale": scale, "options": options})
         for _ in keys:
             yield Solution(
-                image=np.ones((scale * 4, scale * 4), np.float32),
+                image=np.ones((scale * HEIGHT, scale * WIDTH), np.float32),
                 recording=recording,
                 scale=scale,
                 key=0,
@@ -53,7 +54,8 @@ def sequences(monkeypatch, asked, file) -> list[dict]:
                 diagnostics=Diagnostics(motion_carried=False),
             )
 
-    monkeypatch.setattr(scsr_opt, "reconstruct_sequence", stand_in, raising=False)
+    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", stand_in)
+    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
     return asked
 
 

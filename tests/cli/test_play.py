@@ -1,6 +1,7 @@
 """`scsr play`."""
 
 import os
+import sys
 
 import pytest
 from PIL import Image
@@ -59,7 +60,7 @@ def test_play_a_film(scsr, file):
         (["-o", "a.gif", "--key", "3"], "--key and --bits are for pictures, but a.gif is a film"),
         (["-o", "a.png", "--start", "3"], "--start, --stop, --step and --rate are for films, but a.png is a picture"),
         (["-o", "a.png", "--rate", "5"], "--start, --stop, --step and --rate are for films"),
-        (["-o", "a.gif", "--start", "20", "--stop", "10"], "A film from frame 20 to 10"),
+        (["-o", "a.gif", "--start", "20", "--stop", "10"], "Frames 20 to 10 (excluded) are not in the recording"),
         (["-o", "a.gif", "--stop", "32"], "choose 0 <= --start < --stop <= 31"),
         (["-o", "a.gif", "--step", "0"], "--step is 0"),
         (["-o", "a.gif", "--rate", "0"], "rate is 0"),
@@ -73,4 +74,5 @@ def test_play_refuses(scsr, here, file, options, message):
 
 def test_play_mp4_without_an_encoder(scsr, monkeypatch, file):
     monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     assert "needs the program ffmpeg" in scsr("play", file, "-o", "a.mp4", code=2)

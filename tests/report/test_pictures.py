@@ -1,6 +1,7 @@
 import os
 import shutil
 import subprocess
+import sys
 
 import imageio.v3
 import ml_dtypes
@@ -138,6 +139,7 @@ def test_a_film_needs_a_picture_and_a_known_ending(tmp_path):
 
 def test_mp4_without_an_encoder(monkeypatch):
     monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError, match=r"needs the program ffmpeg, which is not on this machine.*\.gif"):
         check_film("a.mp4")
 

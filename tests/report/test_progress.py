@@ -1,9 +1,11 @@
+import re
 import time
 
 import pytest
 
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report import LineProgress, RichProgress
+from scsr_opt.report.progress import speed
 
 
 def test_all_are_progress():
@@ -32,7 +34,9 @@ def test_lines_appear_without_a_step_and_count_through_parts(log):
     progress.finish()
     time.sleep(0.1)
     lines = lines_of(log)
-    assert any(line.startswith("scsr: solving: 40 of 200 (") for line in lines)
+    assert any(
+        re.match(r"scsr: solving: 40 of 200, [\d.e+]+ per second, \d+ s left \(", line) for line in lines
+    )
     time.sleep(0.1)
     assert lines_of(log) == lines  # nothing after the end
 
@@ -77,3 +81,19 @@ def test_long_work_is_shown_even_before_its_first_step(screen):
     screen.seek(0)
     shown = screen.read()
     assert "Compiling" in shown and "75%" in shown
+
+
+@pytest.mark.parametrize(
+    ("done", "total", "seconds", "words"),
+    [
+        (0, 10, 5.0, ""),
+        (10, 10, 5.0, ""),
+        (3, None, 5.0, ""),
+        (20, 60, 10.0, "2 per second, 20 s left"),
+        (2, 10, 9.0, "4.5 s each, 36 s left"),
+        (2, 1000, 9.0, "4.5 s each, 75 min left"),
+        (2, 10_000, 9.0, "4.5 s each, 12 h left"),
+    ],
+)
+def test_speed_is_of_what_was_done_so_far(done, total, seconds, words):
+    assert speed(done, total, seconds) == words

@@ -1,0 +1,195 @@
+"""`scsr sequence`: a recording to super-resolved pictures of many moments. `scsr export`: those in another format."""
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, ShownWhite, Whole, moments, progress, say_failure
+from scsr_opt.cli.solving import Solving
+from scsr_opt.errors import InputError
+
+if TYPE_CHECKING:
+    import scsr_opt.sequences
+
+# Pictures of a sequence, about, where nothing else is said: each takes seconds.
+_PICTURES = 25
+
+_OUTPUT = (
+    ".zarr: a store, which a run that was ended goes on with; a name without an ending: a folder, numbered pictures in "
+    "images/ and times.csv; .npz, .npy: arrays (T, H, W), float; .mp4, .gif: a film."
+)
+Bits = Annotated[
+    Whole | None,
+    Parameter(help="Bits per pixel of the pictures of a folder: 8 or 16 (.png), 32 (.tif, float). Default: 8."),
+]
+Gamma = Annotated[
+    float | None,
+    Parameter(help="Of a film and of .png: store intensity^(1/gamma). Default: 1, linear; 2.2 is for looking at."),
+]
+Rate = Annotated[float | None, Parameter(help="Pictures per second of a film. Default: 25.")]
+
+
+def sequence(
+    file: File,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help=f"What to write. {_OUTPUT}")],
+    scale: Annotated[
+        Whole, Parameter(help="Pixels of the pictures per sensor pixel, along each axis: 1, 2, 3, 4, …")
+    ] = 4,
+    start: Annotated[Whole, Parameter(help="First frame to show.")] = 0,
+    stop: Annotated[Whole | None, Parameter(help="Frame before which the sequence ends. Default: the end.")] = None,
+    every: Annotated[
+        Whole | None, Parameter(help="Frames from one picture to the next. Default: about 25 pictures in all.")
+    ] = None,
+    frames: Annotated[
+        Whole | None, Parameter(help="Use only this number of frames around each key frame. Default: 101.")
+    ] = None,
+    group: Annotated[
+        Whole,
+        Parameter(
+            help="Pictures that are solved for one after the other, each from the one before. A group starts afresh; "
+            "what a kill loses, and what a worker gets, is a group."
+        ),
+    ] = 10,
+    workers: Annotated[
+        Whole | None, Parameter(help="Solve in this number of processes. Default: in this one. Pictures are the same.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        Parameter(
+            help="Solve by the workers of this Dask scheduler, tcp://HOST:PORT, which see FILE and the output under "
+            "the same paths."
+        ),
+    ] = None,
+    bits: Bits = None,
+    gamma: Gamma = None,
+    rate: Rate = None,
+    white: ShownWhite = None,
+    solving: Solving | None = None,
+    reading: Reading | None = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> int:
+    """Solve for the super-resolved pictures of many moments, each starting from what is known of the one before.
+
+    Motion is carried on from picture to picture and estimated anew where the recording contradicts it. A run that was
+    ended in any way goes on where it was when the same command is given again, and the pictures are the same, bit for
+    bit, as without the interruption. Where the output is no .zarr, pictures are kept in OUTPUT.zarr until all are
+    there.
+    """
+    from scsr_opt.sequences.export import SequenceFormat, real_time
+
+    chosen = SequenceFormat.of(output, bits=bits, gamma=gamma, rate=rate, white=white)
+    chosen.check(overwrite)
+    if not chosen.is_store and output.is_file() and file.is_file() and output.samefile(file):
+        raise InputError(f"--output {output} is the file that is read: give the output another name.")
+    for name, value in (("scale", scale), ("frames", frames), ("group", group), ("workers", workers)):
+        if value is not None and value < 1:
+            raise InputError(f"--{name} is {value}, but it must be at least 1.")
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers starts workers here, --scheduler uses those of a cluster: give one of the two.")
+    solving = solving or Solving()
+    solving.check()
+    recording, crop = (reading or Reading()).whole(file)
+    keys = moments(recording, start, stop, every, about=_PICTURES, option="every")
+    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
+
+    from scsr_opt.motion import Estimator
+
+    if not isinstance(choices.get("motion"), Estimator | None):
+        raise InputError(
+            f"--motion {solving.motion} is the velocity at one moment, but a sequence has many: give auto, none, "
+            f"phase, global, dense, ilk or tvl1."
+        )
+    if frames is not None:
+        choices["frames"] = frames
+
+    from scsr_opt.sequences.cluster import Workers
+    from scsr_opt.sequences.plan import Plan
+    from scsr_opt.sequences.run import write_sequence
+
+    def started(dashboard: str) -> None:
+        if not quiet:
+            print(f"scsr: dashboard of the workers: {dashboard}", file=sys.stderr, flush=True)
+
+    many = None if workers is None and scheduler is None else Workers(workers, scheduler, started)
+    plan = Plan.of(recording, keys, scale=scale, group=group, white=white, **choices)
+    begin = time.perf_counter()
+    done = write_sequence(plan, chosen, workers=many, overwrite=overwrite, progress=progress(quiet))
+    seconds = time.perf_counter() - begin
+    if not quiet:
+        print("\n".join(_lines(output, done, keys, seconds)))
+        if chosen.is_film:
+            print(real_time(recording.readout_rate, keys.step, chosen.rate))
+    return _failures(done.failed, len(keys))
+
+
+def export(
+    store: Annotated[Path, Parameter(help="A store that scsr sequence made.", allow_leading_hyphen=False)],
+    /,
+    *,
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help=f"What to write. {_OUTPUT.partition('; ')[2].capitalize()}")
+    ],
+    bits: Bits = None,
+    gamma: Gamma = None,
+    rate: Rate = None,
+    white: Annotated[
+        float | None,
+        Parameter(help="Intensity that is white in films and 8-bit .png. Default: that of the store."),
+    ] = None,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+) -> int:
+    """Write the pictures of a store of scsr sequence as a folder, arrays or a film."""
+    from scsr_opt.sequences.export import SequenceFormat, real_time
+    from scsr_opt.sequences.export import export as write
+    from scsr_opt.sequences.store import SequenceStore
+
+    chosen = SequenceFormat.of(output, bits=bits, gamma=gamma, rate=rate, white=white)
+    source = SequenceStore.open(store)
+    pictures = write(source, chosen, overwrite=overwrite, progress=progress(quiet))
+    failed = [one for one in pictures if one.status is None or not one.status.usable]
+    if not quiet:
+        print(f"{output}: {_counted(len(pictures))} of {store}.")
+        if chosen.is_film:
+            print(real_time(source.readout_rate, source.keys.step, chosen.rate))
+    return _failures(failed, len(pictures))
+
+
+def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, seconds: float) -> list[str]:
+    asked, new = len(keys), len(keys) - done.there
+    written = asked - len(done.failed)
+    frames = f"frames {keys[0]} to {keys[-1]}, every {keys.step}" if asked > 1 else f"frame {keys[0]}"
+    lines = [f"{output}: {_counted(asked)} asked for, of {frames}; {written} written."]
+    if new:
+        lines.append(f"{_counted(new).capitalize()} solved for, {seconds / new:.2g} s each.")
+    if done.there:
+        lines.append(f"{_counted(done.there).capitalize()} had been there before.")
+    anew = done.estimated
+    times = "once" if len(anew) == 1 else f"{len(anew)} times"
+    return [*lines, f"Motion was estimated {times}, at {_listed(anew)}, and carried on between.", done.white]
+
+
+def _failures(failed: list[Any], asked: int) -> int:
+    """The exit code, after saying which pictures failed."""
+    if not failed:
+        return 0
+    why = failed[0].status.message
+    which = _listed([one.key for one in failed])
+    say_failure(f"{len(failed)} of {_counted(asked)} could not be solved for, at {which}", why)
+    return 1
+
+
+def _counted(pictures: int) -> str:
+    return "1 picture" if pictures == 1 else f"{pictures} pictures"
+
+
+def _listed(frames: list[int]) -> str:
+    """The first few, in words."""
+    few = ", ".join(str(frame) for frame in frames[:5])
+    return f"frame{'s' if len(frames) > 1 else ''} {few}{', …' if len(frames) > 5 else ''}"

@@ -1,0 +1,284 @@
+"""Files made from a store of a sequence: a folder of pictures, arrays, films.
+
+Pictures are read one at a time, so that a long sequence needs no more memory than a short one. An output is whole or
+not there. All pictures of an output are stored with one brightness.
+"""
+
+import csv
+import os
+import shutil
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from scsr_opt._files import as_path, check_writable, read_meanwhile, whole_file
+from scsr_opt.camera.white import White
+from scsr_opt.errors import InputError
+from scsr_opt.progress import NoProgress, Progress
+from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
+from scsr_opt.sequences.store import Picture, SequenceStore
+
+STORE = ".zarr"
+ARRAYS = (".npz", ".npy")
+_STILLS = {8: ".png", 16: ".png", 32: ".tif"}
+_TABLE, _IMAGES = "times.csv", "images"
+
+
+@dataclass(frozen=True)
+class SequenceFormat:
+    """Where and how a sequence is stored; the ending of `path` decides.
+
+    - `.zarr`: a store (`SequenceStore`).
+    - none: a folder with the numbered pictures in `images/` and their times in `times.csv`.
+    - `.npz`: arrays `image` (T, H, W), `velocity`, `confidence`, `key_frame`, `seconds`, `motion_from`, `status`, and
+      numbers `scale`, `readout_rate`, `white`.
+    - `.npy`: (T, H, W) float32; times in a `.csv` of the same name.
+    - `.mp4`, `.gif`: a film.
+
+    **Fields:**
+    - `bits`: of the pictures of a folder: 8 or 16 for PNG, 32 for floating-point TIFF.
+    - `gamma`: of a film, and of PNG: intensity^(1/gamma) is stored.
+    - `rate`: pictures per second of a film.
+    - `white`: intensity of the largest grey level of a film or an 8-bit PNG; that of the store if None.
+    """
+
+    path: Path
+    bits: int = 8
+    gamma: float = 1.0
+    rate: float = 25.0
+    white: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        bits: int | None = None,
+        gamma: float | None = None,
+        rate: float | None = None,
+        white: float | None = None,
+    ) -> "SequenceFormat":
+        """The format for `path`; what is None is as by default.
+
+        **Raises:** `InputError` for an ending that is not known, or a setting that it cannot have.
+        """
+        ending = as_path(path).suffix.lower()
+        known = ("", STORE, *ARRAYS, *FILM_ENDINGS)
+        if ending not in known or not as_path(path).name:
+            raise InputError(
+                f"Cannot tell the format of {path}: its ending is {ending!r}, but sequences end in "
+                f"{', '.join(known[1:-1])} or {known[-1]}, or are a folder, whose name has no ending."
+            )
+        if bits is not None and ending:
+            raise InputError(f"bits is for a folder of pictures, but {path} is none: leave it out.")
+        if rate is not None and ending not in FILM_ENDINGS:
+            raise InputError(f"rate is for films, but {path} is none: leave it out, or write a .mp4 or .gif.")
+        if gamma not in (None, 1) and ending not in ("", *FILM_ENDINGS):
+            raise InputError(f"gamma is for what is looked at, but {path} holds linear intensity: leave it out.")
+        made = cls(
+            as_path(path),
+            8 if bits is None else bits,
+            1.0 if gamma is None else gamma,
+            25.0 if rate is None else rate,
+            None if white is None else White.given(white).level,
+        )
+        if ending in FILM_ENDINGS:
+            check_film(path, rate=made.rate, gamma=made.gamma)
+        elif not ending:
+            PictureFormat.of(f"a{_STILLS.get(made.bits, '.png')}", bits=made.bits, gamma=made.gamma)
+        return made
+
+    @property
+    def is_store(self) -> bool:
+        """True for a store."""
+        return self.ending == STORE
+
+    @property
+    def is_film(self) -> bool:
+        """True for a film."""
+        return self.ending in FILM_ENDINGS
+
+    @property
+    def ending(self) -> str:
+        """The ending in lower case; empty for a folder."""
+        return self.path.suffix.lower()
+
+    @property
+    def store(self) -> Path:
+        """The store that the sequence is solved into: `path` itself, or a folder beside it until `path` is written."""
+        return self.path if self.is_store else self.path.with_name(self.path.name + STORE)
+
+    @property
+    def outputs(self) -> list[Path]:
+        """The files, or the folder, that are written in the end."""
+        return [self.path, self.path.with_suffix(".csv")] if self.ending == ".npy" else [self.path]
+
+    def check(self, overwrite: bool) -> None:
+        """Finds out before the work whether the outputs can be written.
+
+        **Raises:** `InputError` if one cannot, or is there already and may not be overwritten.
+        """
+        if self.is_store:
+            return  # `write_sequence` goes on with it, or refuses it
+        for path in self.outputs:
+            if not self.ending and os.path.isdir(path):
+                check_writable(path.with_name(f"{path.name}.new"))  # its place, as it is replaced as a whole
+                if not set(os.listdir(path)) <= {_TABLE, _IMAGES}:
+                    raise InputError(
+                        f"{path} is a folder with other files than {_IMAGES} and {_TABLE}: give another name."
+                    )
+            else:
+                check_writable(path)
+            if path.exists() and not overwrite:
+                raise InputError(f"{path} is there already: give --overwrite to replace it, or another name.")
+
+
+def export(
+    store: SequenceStore | str | os.PathLike[str],
+    output: str | os.PathLike[str] | SequenceFormat,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> list[Picture]:
+    """Writes the pictures of a store in another format (`SequenceFormat`).
+
+    A picture whose solve failed is black in a film, NaN in an array, and left out of a folder.
+
+    **Returns:** what is known of each picture.
+
+    **Raises:** `InputError` if pictures are missing or damaged, or the output cannot be written; it is not there then.
+    """
+    source = store if isinstance(store, SequenceStore) else SequenceStore.open(store)
+    chosen = output if isinstance(output, SequenceFormat) else SequenceFormat.of(output)
+    if chosen.is_store:
+        raise InputError(f"{chosen.path} would be a store as well: copy the folder {source.path} instead.")
+    chosen.check(overwrite)
+    pictures = source.pictures()
+    missing = [one for one in pictures if one.status is None]
+    if missing:
+        raise InputError(
+            f"{source.path} is not complete: {len(missing)} of its {len(pictures)} pictures are missing, the first is "
+            f"frame {missing[0].key}; give the command that made it again."
+        )
+    if all(not one.status.usable for one in pictures if one.status is not None):
+        raise InputError(f"{source.path} has no picture that can be used: all {len(pictures)} solves failed.")
+    meter = NoProgress() if progress is None else progress
+    meter.start(len(pictures), "Writing")
+    try:
+        write = {"": _write_folder, ".npy": _write_npy, ".npz": _write_npz}.get(chosen.ending, _write_film)
+        write(source, pictures, chosen, meter)
+    finally:
+        meter.finish()
+    return pictures
+
+
+def real_time(store_rate: float, every: int, film_rate: float) -> str:
+    """Sentence on how much slower a film is than the scene was.
+
+    **Arguments:** `store_rate`: frames of the recording per second; `every`: frames from one picture to the next;
+    `film_rate`: pictures of the film per second.
+    """
+    seconds = film_rate * every / store_rate
+    unit, factor = next(((u, f) for u, f in (("s", 1), ("ms", 1e3), ("µs", 1e6)) if seconds * f >= 1), ("ns", 1e9))
+    return f"1 s of the film is {seconds * factor:.3g} {unit} of the recording."
+
+
+def _images(store: SequenceStore, meter: Progress) -> Iterator[Float[np.ndarray, "H W"]]:
+    for number in range(len(store.keys)):
+        yield store.picture(number)
+        meter.advance(1)
+
+
+def _write_film(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
+    white = store.white.level if chosen.white is None else chosen.white
+    shown = (np.nan_to_num(image, nan=0.0) for image in _images(store, meter))
+    count = write_film(chosen.path, shown, rate=chosen.rate, gamma=chosen.gamma, white=white)
+    assert count == len(pictures)
+
+
+def _write_folder(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
+    new, old = (chosen.path.with_name(f".{chosen.path.name}.{what}") for what in ("new", "old"))
+    white = (store.white.level if chosen.white is None else chosen.white) if chosen.bits == 8 else 1.0
+    names = _names(pictures, _STILLS[chosen.bits])
+    try:
+        for left in (new, old):  # by an export that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        (new / _IMAGES).mkdir(parents=True)
+        for name, image in zip(names, read_meanwhile(_images(store, meter)), strict=True):
+            if name is not None:
+                write_picture(new / _IMAGES / name, image, bits=chosen.bits, gamma=chosen.gamma, white=white)
+        with open(new / _TABLE, "w", newline="", encoding="utf-8") as file:
+            _write_table(file, pictures, names)
+        if chosen.path.exists():
+            os.replace(chosen.path, old)
+        os.replace(new, chosen.path)
+    except OSError as error:
+        raise InputError(f"Cannot write {chosen.path}: {(error.strerror or str(error)).lower()}.") from error
+    finally:
+        for left in (new, old):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _write_npy(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
+    array, table = chosen.outputs
+    with whole_file(table) as beside:
+        with whole_file(array) as temporary, open(temporary, "wb") as file:
+            _write_array(file, store.shape, read_meanwhile(_images(store, meter)))
+        with open(beside, "w", newline="", encoding="utf-8") as file:
+            _write_table(file, pictures, [None] * len(pictures))
+
+
+def _write_npz(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
+    motion = store.motion_shape
+    small = {
+        "key_frame": np.array([one.key for one in pictures]),
+        "seconds": np.array([one.seconds for one in pictures]),
+        "motion_from": np.array([one.motion_from for one in pictures]),
+        "status": np.array([one.status.name for one in pictures if one.status is not None]),
+        "scale": np.array(store.scale),
+        "readout_rate": np.array(store.readout_rate),
+        "white": np.array(store.white.level),
+    }
+    count = len(pictures)
+    with whole_file(chosen.path) as temporary, zipfile.ZipFile(temporary, "w", allowZip64=True) as archive:
+        for name, values in small.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, values, allow_pickle=False)
+        large: dict[str, tuple[tuple[int, ...], Any]] = {
+            "image": (store.shape, _images(store, meter)),
+            "velocity": ((count, 2, *motion), (store.motion(one)[0] for one in range(count))),
+            "confidence": ((count, *motion), (store.motion(one)[1] for one in range(count))),
+        }
+        for name, (shape, items) in large.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                _write_array(file, shape, read_meanwhile(items))
+
+
+def _write_array(file: Any, shape: tuple[int, ...], items: Iterator[np.ndarray]) -> None:
+    """Writes a float32 array of `shape` in the format of NumPy, one item along its first axis at a time."""
+    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_2_0(file, header)
+    for item in items:
+        file.write(np.ascontiguousarray(item, "<f4").tobytes())
+
+
+def _write_table(file: Any, pictures: list[Picture], names: list[str | None]) -> None:
+    """The times of the pictures, with the name of each one's file if it has one."""
+    rows = csv.writer(file, lineterminator="\n")
+    rows.writerow(["number", "file", "key_frame", "seconds", "status", "motion_from"])
+    for one, name in zip(pictures, names, strict=True):
+        status = "" if one.status is None else one.status.name
+        rows.writerow([one.number, name or "", one.key, repr(one.seconds), status, one.motion_from])
+
+
+def _names(pictures: list[Picture], ending: str) -> list[str | None]:
+    """Names by key frame, all of one length so that they sort by time; None for a picture that failed."""
+    digits = max(6, len(str(pictures[-1].key)))
+    return [
+        f"{one.key:0{digits}d}{ending}" if one.status is not None and one.status.usable else None for one in pictures
+    ]

@@ -1,0 +1,460 @@
+"""`SequenceStore`: the pictures of a sequence as a Zarr v3 group with OME-Zarr 0.5 metadata.
+
+    image        (T, H, W)     float32  intensity, 1 = white; one chunk a picture
+    velocity     (T, 2, h, w)  float32  sensor pixels per frame, down and right
+    confidence   (T, h, w)     float32  of the velocity, 0 to 1
+    t, y, x      (T,) (H,) (W,)         seconds, sensor pixels: the coordinates of `image`
+    key_frame    (T,)                   of each picture
+    status       (T,)          uint8    0: not there; others: how the solve ended (its attribute `meanings`)
+    motion_from  (T,)                   key frame at which the motion was estimated; another one where it was carried on
+    iterations, strength  (T,)          of the solve
+    bad_pixels   (h, w)        uint8    pixels that were not used, by kind (`calibration.PixelKind`)
+
+Every chunk carries a checksum and is written under another name first, so that it is whole or absent. `status` has one
+chunk for each group of pictures, written last: a group whose chunk is missing is solved again from its beginning. A
+second run would do the same work and write the same bits; a lock keeps it from wasting them.
+"""
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from scsr_opt._files import as_path
+from scsr_opt.calibration.bad_pixels import BadPixels
+from scsr_opt.camera.white import White
+from scsr_opt.errors import InputError
+from scsr_opt.pipeline.solution import Solution
+from scsr_opt.sequences.plan import Plan, described, differences, groups_of, versions
+from scsr_opt.solvers.record import Status
+
+if TYPE_CHECKING:
+    import zarr
+
+FORMAT = 1
+"""Number of this layout of arrays and attributes; a store with another one is refused."""
+STATUS_CODES = {status: number for number, status in enumerate(Status, 1)}
+"""Numbers of `status`; 0 is a picture that is not there."""
+
+_METADATA = "zarr.json"
+_SPIKES = "spikes is "
+# Arrays with a number for each picture, a chunk for each group: type, and value where there is no picture.
+_RESULTS = {
+    "motion_from": ("int64", -1),
+    "iterations": ("int32", 0),
+    "strength": ("float64", float("nan")),
+    "status": ("uint8", 0),
+}
+
+
+def need_zarr() -> Any:
+    """The package zarr. **Raises:** `InputError` if it is not installed."""
+    try:
+        import zarr
+    except ImportError:
+        raise InputError(
+            "A sequence needs the package zarr, which is not installed: pip install 'scsr-opt[sequence]'."
+        ) from None
+    return zarr
+
+
+class Picture(NamedTuple):
+    """A picture of a store: its `number`, `key` frame, time in `seconds`, `status` (None where it is not there) and the
+    key frame `motion_from` at which its motion was estimated."""
+
+    number: int
+    key: int
+    seconds: float
+    status: Status | None
+    motion_from: int
+
+
+class SequenceStore:
+    """A store that is there; made by `create` and found by `open`.
+
+    **Fields:** `path` (absolute), `keys`, `scale`, `group` (pictures of a group), `readout_rate` in Hz, `white`.
+    """
+
+    def __init__(self, path: Path, metadata: bytes, arrays: "zarr.Group"):
+        self.path, self._metadata, self._arrays = path, metadata, arrays
+        self._attributes = json.loads(metadata)["attributes"]["scsr"]
+        sequence = self._attributes["sequence"]
+        self.keys = range(sequence["start"], sequence["stop"], sequence["every"])
+        self.scale, self.group = int(sequence["scale"]), int(sequence["group"])
+        self.readout_rate = float(sequence["recording"]["readout_rate"])
+        self.white = White(**self._attributes["white"])
+
+    @classmethod
+    def create(cls, path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) -> "SequenceStore":
+        """A new store without pictures, in the place of one that may be at `path`; to be called with its lock held.
+
+        **Arguments:** `bad_pixels`: that no picture uses, None where none are looked for; `white`: of all pictures.
+
+        **Raises:** `InputError` if it cannot be written.
+        """
+        new, old = _beside(path, "new"), _beside(path, "old")
+        with _writing(path):
+            for left in (new, old):  # by a run that was killed
+                shutil.rmtree(left, ignore_errors=True)
+            _lay_out(new, plan, bad_pixels, white)
+            if path.exists():
+                os.replace(path, old)
+            os.replace(new, path)
+            shutil.rmtree(old, ignore_errors=True)
+        return cls.open(path, write=True)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str], *, write: bool = False) -> "SequenceStore":
+        """The store at `path`. **Raises:** `InputError` if there is none, or it cannot be read."""
+        place = Path(os.path.abspath(as_path(path)))
+        if not place.is_dir():
+            raise InputError(f"There is no store {path}: check the path, or make one with scsr sequence.")
+        no_store = f"{path} is no store of a sequence of pictures: name one that scsr sequence made."
+        try:
+            metadata = (place / _METADATA).read_bytes()
+            found = json.loads(metadata)["attributes"]["scsr"]["format"]
+        except FileNotFoundError:
+            raise InputError(no_store) from None
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{no_store[:-1]}, or remove it if its {_METADATA} is damaged.") from error
+        if found != FORMAT:
+            raise InputError(
+                f"{path} has format {found}, but this version of scsr-opt reads format {FORMAT}: read it with the "
+                f"version that made it, or make it anew under another name."
+            )
+        try:
+            arrays = need_zarr().open_group(place, mode="r+" if write else "r", zarr_format=3)
+            store = cls(place, metadata, arrays)
+            store._check_arrays()
+        except InputError:
+            raise
+        except Exception as error:  # zarr raises many kinds, one for each thing that may be damaged
+            raise InputError(
+                f"{path} is damaged ({_said(error)}): remove it and make it anew, or restore its {_METADATA} files."
+            ) from error
+        return store
+
+    def _check_arrays(self) -> None:
+        pictures = len(self.keys)
+        names = ("image", "velocity", "confidence", "t", "key_frame", "bad_pixels", *_RESULTS)
+        wrong = [name for name in names if name not in self._arrays or name != "bad_pixels" and
+                 self._array(name).shape[0] != pictures]  # fmt: skip
+        if wrong:
+            raise InputError(
+                f"{self.path} is damaged (array {wrong[0]} is missing or has another length than the {pictures} "
+                f"pictures): remove it and make it anew."
+            )
+
+    def _array(self, name: str) -> "zarr.Array":
+        return self._arrays[name]  # type: ignore[return-value]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(T, H, W): pictures, rows, columns."""
+        pictures, rows, columns = self._array("image").shape
+        return pictures, rows, columns
+
+    @property
+    def motion_shape(self) -> tuple[int, int]:
+        """(h, w): rows and columns of the velocities."""
+        _, rows, columns = self._array("confidence").shape
+        return rows, columns
+
+    @property
+    def bad_pixels(self) -> BadPixels | None:
+        """Bad pixels that no picture uses; None where none were looked for."""
+        if not self._attributes["bad_pixels"]:
+            return None
+        return BadPixels(self._read("bad_pixels", slice(None)))
+
+    @property
+    def groups(self) -> list[range]:
+        """The groups, each as a range of numbers of pictures."""
+        return groups_of(len(self.keys), self.group)
+
+    def check(self, plan: Plan) -> None:
+        """**Raises:** `InputError` if the store is of another plan, or was made by another version."""
+        made = {**self._attributes["versions"], **self._attributes["sequence"]}
+        found = list(differences(made, {**versions(), **plan.description}))
+        if len(found) > 1:  # of other key frames the spikes are others, too
+            found = [clause for clause in found if not clause.startswith(_SPIKES)]
+        if found:
+            more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
+            raise InputError(
+                f"{self.path.name} holds another sequence: {_reworded(found[0])}{more}. Give another name, or "
+                f"--overwrite to begin anew."
+            )
+
+    def write_picture(self, number: int, solution: Solution) -> None:
+        """Writes a picture with its motion; of a solve that failed, nothing.
+
+        **Raises:** `InputError` if it cannot be written, or the store was replaced meanwhile.
+        """
+        if not solution.status.usable:
+            return
+        self._check_present()
+        with _writing(self.path):
+            self._array("image")[number] = solution.image
+            if solution.velocity is not None and solution.confidence is not None:
+                self._array("velocity")[number] = solution.velocity
+                self._array("confidence")[number] = solution.confidence
+
+    def write_results(self, numbers: range, solutions: dict[str, list[Any]]) -> None:
+        """Writes what is known of the pictures of a group, of which all are written, and marks the group as done.
+
+        **Arguments:** `solutions`: by the names of `RESULTS`, a value for each picture.
+
+        **Raises:** as `write_picture`.
+        """
+        self._check_present()
+        with _writing(self.path):
+            for name, (kind, _) in _RESULTS.items():  # `status` is the last one
+                self._array(name)[numbers.start : numbers.stop] = np.array(solutions[name], kind)
+
+    def unfinished(self, solved: Any = None) -> list[int]:
+        """Numbers of the groups that have to be solved: those that are not done, and those with a damaged picture.
+
+        **Arguments:** `solved`: called with the number of pictures each time that a group was found to be whole.
+        """
+        found = []
+        for number, group in enumerate(self.groups):
+            if self._is_whole(group):
+                if solved is not None:
+                    solved(len(group))
+            else:
+                found.append(number)
+        return found
+
+    def _is_whole(self, group: range) -> bool:
+        try:
+            for name in _RESULTS:
+                codes = self._read(name, slice(group.start, group.stop))
+            if not codes.all():
+                return False
+            for number, code in zip(group, codes, strict=True):
+                if _status(int(code)).usable:  # type: ignore[union-attr]
+                    if not np.isfinite(self.picture(number)).all():
+                        return False
+                    self.motion(number)
+        except InputError:
+            return False
+        return True
+
+    def pictures(self) -> list[Picture]:
+        """What is known of each picture. **Raises:** `InputError` if the store is damaged."""
+        codes, origins = self._read("status", slice(None)), self._read("motion_from", slice(None))
+        return [
+            Picture(number, key, key / self.readout_rate, _status(int(code)), int(origin))
+            for number, (key, code, origin) in enumerate(zip(self.keys, codes, origins, strict=True))
+        ]
+
+    def picture(self, number: int) -> Float[np.ndarray, "H W"]:
+        """A picture, intensity, 1 = white; NaN where it is not there. **Raises:** `InputError` if it is damaged."""
+        return self._read("image", number)
+
+    def motion(self, number: int) -> tuple[Float[np.ndarray, "2 h w"], Float[np.ndarray, "h w"]]:
+        """Velocity in sensor pixels per frame, and its confidence; NaN where they are not known.
+
+        **Raises:** `InputError` if they are damaged.
+        """
+        return self._read("velocity", number), self._read("confidence", number)
+
+    def _read(self, name: str, part: Any) -> Any:
+        try:
+            return np.asarray(self._array(name)[part])
+        except Exception as error:  # each codec has its own ways to fail
+            where = f"frame {self.keys[part]}" if isinstance(part, int) else "one of the chunks"
+            raise InputError(
+                f"{self.path.name} is damaged: {name} of {where} cannot be read ({_said(error)}). Give the command "
+                f"that made it again, which makes that part anew."
+            ) from error
+
+    def _check_present(self) -> None:
+        """**Raises:** `InputError` if the store is not the one that was opened: pictures must not be mixed."""
+        try:
+            same = (self.path / _METADATA).read_bytes() == self._metadata
+        except OSError:
+            same = False
+        if not same:
+            raise InputError(f"{self.path} was removed or replaced while it was written: give the command again.")
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """The lock of the store `path`, for this process; the system takes it back from a process that ended in any way.
+
+    **Raises:** `InputError` if another run has it, or it cannot be made.
+    """
+    file = _beside(path, "lock")
+    if not path.parent.is_dir():
+        raise InputError(f"Cannot write {path}: the folder {path.parent} does not exist; make it first.")
+    with _writing(path):
+        descriptor = _locked(file)
+    if descriptor is None:
+        raise InputError(f"{path} is being written by another run of scsr sequence: wait for it, or end it.")
+    try:
+        yield
+    finally:
+        file.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _locked(file: Path) -> int | None:
+    """A descriptor of the file that holds its lock; None if another process does."""
+    while True:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            there = os.stat(file) if file.exists() else None
+            if there is not None and there.st_ino == os.fstat(descriptor).st_ino:
+                return descriptor
+        except BlockingIOError:
+            os.close(descriptor)
+            return None
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)  # whoever held the lock removed the file in between
+
+
+def tidy(path: Path) -> None:
+    """Removes chunks that a killed run left half-written."""
+    for left in path.rglob("*.partial"):
+        left.unlink(missing_ok=True)
+
+
+def is_store(path: Path) -> bool:
+    """Whether `path` is a folder that `SequenceStore.create` made, whatever its version and state."""
+    try:
+        return "scsr" in json.loads((path / _METADATA).read_bytes())["attributes"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) -> None:
+    """Makes the group and its arrays, with those that do not wait for pictures filled in."""
+    zarr = need_zarr()
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    part, scale, pictures = plan.part, plan.scale, len(plan.keys)
+    height, width = part.height, part.width
+    top, left = (0, 0) if plan.options.crop is None else (int(plan.options.crop[0]), int(plan.options.crop[1]))
+    rate = plan.recording.readout_rate
+    # Centres of the pixels, in sensor pixels whose centres are whole numbers.
+    first = 0.5 / scale - 0.5
+    step = [plan.keys.step / rate, 1 / scale, 1 / scale]
+    begin = [plan.keys[0] / rate, top + first, left + first]
+    attributes = {
+        "ome": {
+            "version": "0.5",
+            "multiscales": [
+                {
+                    "name": plan.recording.name,
+                    "axes": [
+                        {"name": "t", "type": "time", "unit": "second"},
+                        {"name": "y", "type": "space", "unit": "pixel"},
+                        {"name": "x", "type": "space", "unit": "pixel"},
+                    ],
+                    "datasets": [
+                        {
+                            "path": "image",
+                            "coordinateTransformations": [
+                                {"type": "scale", "scale": step},
+                                {"type": "translation", "translation": begin},
+                            ],
+                        }
+                    ],
+                }
+            ],
+            "omero": {
+                "channels": [
+                    {
+                        "label": "intensity",
+                        "color": "FFFFFF",
+                        "active": True,
+                        "window": {"min": 0.0, "max": max(1.0, white.level), "start": 0.0, "end": white.level},
+                    }
+                ],
+                "rdefs": {"model": "greyscale"},
+            },
+        },
+        "scsr": {
+            "format": FORMAT,
+            "versions": versions(),
+            "sequence": plan.description,
+            "white": described(white) | {"kind": None},
+            "bad_pixels": bad_pixels is not None,
+        },
+    }
+    attributes["scsr"]["white"].pop("kind")
+    arrays = zarr.create_group(path, zarr_format=3, attributes=attributes)
+    checked = Crc32cCodec()
+
+    def add(name: str, shape: tuple[int, ...], chunks: tuple[int, ...], names: tuple[str, ...], **others: Any) -> Any:
+        packed = (ZstdCodec(level=1), checked) if len(shape) > 1 else (checked,)
+        kinds = {"dtype": "float32", "fill_value": float("nan"), "compressors": packed}
+        return arrays.create_array(name, shape=shape, chunks=chunks, dimension_names=names, **{**kinds, **others})
+
+    size = (scale * height, scale * width)
+    add("image", (pictures, *size), (1, *size), ("t", "y", "x"))
+    add("velocity", (pictures, 2, height, width), (1, 2, height, width), ("t", "direction", "row", "column"))
+    add("confidence", (pictures, height, width), (1, height, width), ("t", "row", "column"))
+    for name, (kind, missing) in _RESULTS.items():
+        add(name, (pictures,), (plan.group,), ("t",), dtype=kind, fill_value=missing)
+    arrays["status"].attrs["meanings"] = {"0": "not there"} | {
+        str(code): status.message for status, code in STATUS_CODES.items()
+    }
+    places = {
+        "t": np.asarray(plan.keys) / rate,
+        "y": begin[1] + np.arange(size[0]) / scale,
+        "x": begin[2] + np.arange(size[1]) / scale,
+    }
+    for name, values in places.items():
+        add(name, values.shape, values.shape, (name,), dtype="float64")[:] = values
+    frames = np.asarray(plan.keys, np.int64)
+    add("key_frame", frames.shape, frames.shape, ("t",), dtype="int64", fill_value=-1)[:] = frames
+    kinds = np.zeros((height, width), np.uint8) if bad_pixels is None else bad_pixels.kind
+    add("bad_pixels", kinds.shape, kinds.shape, ("row", "column"), dtype="uint8", fill_value=0)[:] = kinds
+
+
+def _status(code: int) -> Status | None:
+    """**Raises:** `InputError` for a number that stands for nothing."""
+    if code == 0:
+        return None
+    known = {number: status for status, number in STATUS_CODES.items()}
+    if code not in known:
+        raise InputError(f"The store is damaged: it has a status {code}, but there are 0 to {len(known)}.")
+    return known[code]
+
+
+def _beside(path: Path, what: str) -> Path:
+    return path.with_name(f".{path.name}.{what}")
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror.lower() if error.strerror else str(error)
+        raise InputError(
+            f"Cannot write {path}: {why}; what is in it is not lost, give the same command again when that is mended."
+        ) from error
+
+
+def _said(error: Exception) -> str:
+    """An error of another library in a clause."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:120].rstrip(".")
+
+
+def _reworded(clause: str) -> str:
+    return "it is of another recording" if clause.startswith(_SPIKES) else clause

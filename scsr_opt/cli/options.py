@@ -176,8 +176,8 @@ def white_of_picture(path: Path, bits: int | None, white: float | None, *, also_
 
     if white is not None and White.given(white) and also_for is None and PictureFormat.of(path, bits=bits).absolute:
         raise InputError(
-            f"--white is for 8-bit pictures, figures and films, but {path} holds intensity as it is, 1 = white: leave it "
-            f"out, or write an 8-bit .png."
+            f"--white is for 8-bit pictures, figures and films, but {path} holds intensity as it is, 1 = white: leave "
+            f"it out, or write an 8-bit .png."
         )
 
 

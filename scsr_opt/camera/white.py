@@ -1,4 +1,4 @@
-"""White: the intensity that is shown as the brightest grey level of what is looked at (8-bit PNG, figure, film).
+"""White: the intensity that 8-bit PNG, figures and films show as the brightest grey level.
 
 Intensity 1 is what fires at the recording's white rate. A camera is seldom set so that the brightest of a scene is just
 that, so pictures for the eye have a white of their own: a quantile, almost the largest, of the light that is known.
@@ -49,7 +49,7 @@ class WhiteSettings(Settings):
 
 @dataclass(frozen=True)
 class White:
-    """White of what is looked at.
+    """White of 8-bit pictures, figures and films.
 
     **Fields:** `level`: intensity shown as white; `found`: by the recording, or else given or nominal; `reason`: why,
     a clause for people.

@@ -14,6 +14,7 @@ from scsr_opt.cli.options import (
     Whole,
     check_outputs,
     key_frame,
+    progress,
     shown_white,
     white_of_picture,
 )
@@ -78,7 +79,12 @@ def baseline(
 
     from scsr_opt.baselines import BASELINES
 
-    image = BASELINES[method.replace("-", "_")](recording, scale=scale, key=moment)
+    meter = progress(quiet)
+    meter.start(None, f"Making the picture by {method}")
+    try:
+        image = BASELINES[method.replace("-", "_")](recording, scale=scale, key=moment)
+    finally:
+        meter.finish()
     level = None if absolute else shown_white(recording, white, moment, moment)
     write_picture(output, image, bits=bits, gamma=gamma, white=1.0 if level is None else level.level)
     if not quiet:

@@ -46,8 +46,8 @@ Quiet = Annotated[
 ShownWhite = Annotated[
     float | None,
     Parameter(
-        help="Intensity that is white in what is looked at: 8-bit .png, figures, films; 1 is what fires at the white "
-        "rate. Default: almost the largest that is known in the recording. Other files are absolute, 1 = white."
+        help="Intensity that 8-bit .png, figures and films show as white; 1 is the light of a pixel that fires at the "
+        "white rate. Default: almost the brightest light of the recording. Other files hold intensity as it is."
     ),
 ]
 
@@ -176,15 +176,15 @@ def white_of_picture(path: Path, bits: int | None, white: float | None, *, also_
 
     if white is not None and White.given(white) and also_for is None and PictureFormat.of(path, bits=bits).absolute:
         raise InputError(
-            f"--white is for what is looked at, but {path} holds intensity as it is, 1 = white: leave it out, or write "
-            f"an 8-bit .png."
+            f"--white is for 8-bit pictures, figures and films, but {path} holds intensity as it is, 1 = white: leave "
+            f"it out, or write an 8-bit .png."
         )
 
 
 def shown_white(
     recording: "scsr_opt.camera.Recording", white: float | None, first: int, last: int, frames: int | None = None
 ) -> "scsr_opt.camera.white.White":
-    """White of what is looked at from key frame `first` to `last`: `white` if it is given, or as found in the frames
+    """White of pictures and films from key frame `first` to `last`: `white` if it is given, or as found in the frames
     around them, `frames` or the usual number."""
     from scsr_opt.camera.recording import USUAL_FRAMES
     from scsr_opt.camera.white import White, find_white_around

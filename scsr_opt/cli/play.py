@@ -74,8 +74,8 @@ def play(
 ) -> int:
     """Show a recording as a picture of one moment, or as a film.
 
-    Films and 8-bit pictures are linear, unless --gamma is given, up to a white that the recording shows, or --white.
-    Other files are absolute, 1 = white.
+    Films and 8-bit pictures show almost the brightest light of the recording as white (see --white), and are linear
+    unless --gamma is given. Other files hold intensity as it is, 1 = white.
     """
     from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
 

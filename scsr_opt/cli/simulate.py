@@ -194,8 +194,8 @@ def simulate(
 ) -> int:
     """Record a moving picture with a simulated spike camera.
 
-    Pictures are taken for linear intensity, 1 = white. Dead and hot pixels are marked in the recording where its
-    format has room for them (.npz, .h5).
+    Grey levels of pictures are read as linear intensity, 1 = white. Dead and hot pixels are marked in the recording
+    where its format has room for them (.npz, .h5).
     """
     motion, camera = motion or Motion(), camera or Camera()
     _check(images, motion, output, truth, true_velocity)

@@ -65,10 +65,10 @@ def solve(
 ) -> int:
     """Solve for the super-resolved picture of one moment.
 
-    The picture has SCALE times the sensor's rows and columns. An 8-bit .png is linear up to a white that the recording
-    shows, or --white; other files are absolute, 1 = white, cut to 0..1 except in floating-point files. An .npz also
-    holds the motion that was used. Frames before and after the key frame add detail
-    through the motion between them.
+    The picture has SCALE times the sensor's rows and columns. Frames before and after the key frame add detail through
+    the motion between them. An 8-bit .png shows almost the brightest light of the recording as white (see --white).
+    Other files hold intensity as it is, 1 = white; all but floating-point files are cut to 0..1. An .npz also holds the
+    motion that was used.
     """
     from scsr_opt.report.pictures import PictureFormat
 

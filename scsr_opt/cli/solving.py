@@ -67,9 +67,8 @@ class Solving:
     gain: Annotated[
         str,
         Parameter(
-            help="Fixed pattern: FILE.npy with (height, width) gains, around 1, of the sensor or the crop; blind: from "
-            "the recording itself, where it moves and, as far as pictures tell, where it rests; auto: that, if a "
-            "pattern is found; none."
+            help="Fixed pattern: FILE.npy with (height, width) gains, around 1, of the sensor or the crop; blind: as "
+            "estimated from the recording; auto: the same, used only if a pattern is found; none: all pixels alike."
         ),
     ] = "auto"
     optics: Annotated[
@@ -82,21 +81,22 @@ class Solving:
     prior: Annotated[
         Prior | None,
         Parameter(
-            help="What the picture is taken to be like: ridge: as was learned from pictures; huber: flat with edges "
-            "and soft shading; tv: without the shading; tgv: slopes with edges; bilateral, wavelet: several scales; "
-            "nl-means, red: texture that repeats (slow). Default: ridge up to --scale 3, above it huber."
+            help="What the picture is assumed to be like: ridge: as learned from photographs; huber: flat, with edges "
+            "and soft shading; tv: flat, with edges; tgv: slopes with edges; bilateral, wavelet: alike over several "
+            "scales; nl-means, red: with texture that repeats (slow). Default: ridge up to --scale 3, above it huber."
         ),
     ] = None
     bounds: Annotated[
         str | None,
         Parameter(
-            allow_leading_hyphen=True, help="Range of the intensities: LOW,HIGH or non-negative. Default: any at all."
+            allow_leading_hyphen=True, help="Range of the intensities: LOW,HIGH or non-negative. Default: no bounds."
         ),
     ] = None
     strength: Annotated[
         float | None,
         Parameter(
-            help="Of the prior (lambda). Default: what predicts held-out spikes best; with --robust, by their noise."
+            help="Strength of the prior (lambda). Default: the one that predicts left-out measurements best; with "
+            "--robust, the one that follows from their noise."
         ),
     ] = None
     solver: Annotated[

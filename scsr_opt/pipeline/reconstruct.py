@@ -101,7 +101,7 @@ def solve(
 ) -> Solution:
     """All of `reconstruct` from the first iteration on: solve, then update and solve again.
 
-    `white`: of what is looked at; that of the clip if None.
+    `white`: of 8-bit pictures and figures; that of the clip if None.
     """
     white = assembly.task.find_white() if white is None else white
     if not assembly.usable:

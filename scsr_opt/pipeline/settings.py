@@ -221,4 +221,4 @@ class PipelineSettings(Settings):
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     """Pictures of a sequence, each from the one before."""
     white: WhiteSettings = field(default_factory=WhiteSettings)
-    """White of what is looked at."""
+    """White of 8-bit pictures, figures and films."""

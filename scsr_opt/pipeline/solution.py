@@ -82,7 +82,7 @@ class Solution:
     - `light`: of each moment of the clip, where it changes (`camera.light.Light`); None where it does not.
     - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
     - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
-    - `white`: intensity that is shown as white in what is looked at: 8-bit PNG, figures, films. Those of one sequence
+    - `white`: intensity that 8-bit PNG, figures and films show as white. Those of one sequence
       have one.
     - `state`: what a solve of a similar problem can start from (`reconstruct(…, state=…)`).
     """

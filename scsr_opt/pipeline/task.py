@@ -109,7 +109,7 @@ class Task:
         )
 
     def find_white(self) -> White:
-        """White of what is looked at, from the light of the clip."""
+        """White of 8-bit pictures and figures, from the light of the clip."""
         clip = self.clip
         return find_white(
             lambda start, stop: clip.spikes[start:stop],

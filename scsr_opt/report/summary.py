@@ -41,7 +41,7 @@ class Report:
       (how many are known or were found).
     - `picture`: width, height, scale, key, crop (top, left, height, width of the part of the sensor that it shows; None
       for all of it), and the least, mean and greatest intensity (1 = white).
-    - `white`: level (intensity shown as white in what is looked at), found, reason.
+    - `white`: level (intensity that 8-bit pictures and figures show as white), found, reason.
     - `status`: name, message, usable.
     - `motion`: mean and greatest speed, sensor pixels per frame; None where no motion was used.
     - `diagnostics`: the numbers of `Diagnostics`. `scene`, `tiles`: numbers of the scene's summary and of the tiles'

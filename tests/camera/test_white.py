@@ -1,4 +1,4 @@
-"""White of what is looked at, against the light that recordings were made of."""
+"""White of pictures and films, against the light that recordings were made of."""
 
 import numpy as np
 import pytest

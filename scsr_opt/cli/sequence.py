@@ -81,7 +81,7 @@ def sequence(
     bit, as without the interruption. Where the output is no .zarr, pictures are kept in OUTPUT.zarr until all are
     there.
     """
-    from scsr_opt.sequences.export import SequenceFormat, real_time
+    from scsr_opt.sequences.outputs import SequenceFormat, real_time
 
     chosen = SequenceFormat.of(output, bits=bits, gamma=gamma, rate=rate, white=white)
     chosen.check(overwrite)
@@ -146,8 +146,8 @@ def export(
     quiet: Quiet = False,
 ) -> int:
     """Write the pictures of a store of scsr sequence as a folder, arrays or a film."""
-    from scsr_opt.sequences.export import SequenceFormat, real_time
-    from scsr_opt.sequences.export import export as write
+    from scsr_opt.sequences.outputs import SequenceFormat, real_time
+    from scsr_opt.sequences.outputs import export as write
     from scsr_opt.sequences.store import SequenceStore
 
     chosen = SequenceFormat.of(output, bits=bits, gamma=gamma, rate=rate, white=white)

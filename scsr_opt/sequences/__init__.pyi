@@ -1,5 +1,5 @@
 from .cluster import Workers
-from .export import SequenceFormat, export
+from .outputs import SequenceFormat, export
 from .plan import Plan
 from .run import Written, write_sequence
 from .store import SequenceStore

@@ -13,7 +13,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.pipeline.sequence import common, reconstruct_sequence
 from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.sequences.cluster import Workers, solve_by_workers
-from scsr_opt.sequences.export import SequenceFormat, export
+from scsr_opt.sequences.outputs import SequenceFormat, export
 from scsr_opt.sequences.plan import Plan
 from scsr_opt.sequences.store import STATUS_CODES, Picture, SequenceStore, held, is_store, need_zarr, tidy
 

@@ -34,9 +34,7 @@ def test_lines_appear_without_a_step_and_count_through_parts(log):
     progress.finish()
     time.sleep(0.1)
     lines = lines_of(log)
-    assert any(
-        re.match(r"scsr: solving: 40 of 200, [\d.e+]+ per second, \d+ s left \(", line) for line in lines
-    )
+    assert any(re.match(r"scsr: solving: 40 of 200, [\d.e+]+ per second, \d+ s left \(", line) for line in lines)
     time.sleep(0.1)
     assert lines_of(log) == lines  # nothing after the end
 

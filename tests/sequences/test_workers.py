@@ -1,0 +1,99 @@
+"""Sequences by the workers of a Dask cluster, and what is said where it is lost."""
+
+import subprocess
+import sys
+
+import pytest
+
+from scsr_opt import InputError
+from scsr_opt.sequences import SequenceStore, Workers, write_sequence
+
+distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+
+
+@pytest.fixture
+def cluster():
+    """A scheduler with two workers in threads of this process, so that they use the stand-in."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0", memory_limit=0
+    ) as started:
+        yield started
+
+
+def test_workers_of_a_scheduler_write_the_same_store(tmp_path, plan, stand_in, files, cluster):
+    write_sequence(plan, tmp_path / "alone.zarr")
+    dashboards = []
+    workers = Workers(scheduler=cluster.scheduler_address, started=dashboards.append)
+    done = write_sequence(plan, tmp_path / "a.zarr", workers=workers)
+    assert done.there == 0 and not done.failed and dashboards[0].startswith("http://")
+    assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
+
+
+def test_workers_go_on_with_a_store(tmp_path, plan, stand_in, files, cluster):
+    write_sequence(plan, tmp_path / "alone.zarr")
+    stand_in.solved.clear()
+    stand_in.stop_after, stand_in.error = 6, InputError("enough")
+    workers = Workers(scheduler=cluster.scheduler_address)
+    with pytest.raises(InputError, match="enough"):
+        write_sequence(plan, tmp_path / "a.zarr", workers=workers)
+    there = sum(one.status is not None for one in SequenceStore.open(tmp_path / "a.zarr").pictures())
+    assert there < 10
+    stand_in.stop_after = None
+    assert write_sequence(plan, tmp_path / "a.zarr", workers=workers).there == there
+    assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "tcp://127.0.0.1:notaport", ""])
+def test_a_scheduler_that_is_not_there_is_said(tmp_path, plan, stand_in, monkeypatch, address):
+    monkeypatch.setattr("scsr_opt.sequences.cluster._PATIENCE", 1)
+    with pytest.raises(InputError, match="No scheduler with workers answered at"):
+        write_sequence(plan, tmp_path / "a.zarr", workers=Workers(scheduler=address))
+    assert stand_in.solved == []
+
+
+def test_a_scheduler_without_workers_is_said(tmp_path, plan, stand_in, monkeypatch):
+    monkeypatch.setattr("scsr_opt.sequences.cluster._PATIENCE", 1)
+    with distributed.LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address=":0") as empty:
+        with pytest.raises(InputError, match="No scheduler with workers answered at tcp"):
+            write_sequence(plan, tmp_path / "a.zarr", workers=Workers(scheduler=empty.scheduler_address))
+
+
+@pytest.mark.parametrize("given", [{}, {"number": 2, "scheduler": "tcp://a:1"}, {"number": 0}, {"number": -1}])
+def test_workers_that_cannot_be_are_refused(given):
+    with pytest.raises(InputError):
+        Workers(**given)
+
+
+def test_workers_without_dask_are_refused_in_a_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"need the package distributed.*pip install 'scsr-opt\[sequence\]'"):
+        Workers(1)
+
+
+_PROGRAM = """
+import sys
+from scsr_opt.cli import main
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+
+
+@pytest.mark.slow  # each worker is a process that imports JAX
+def test_one_two_and_five_workers_write_identical_stores(tmp_path, files):
+    """Of real solves; and so does one process without workers."""
+    from benchmarks.killing import simulated
+
+    file = simulated(tmp_path / "object.npy", 61)
+    script = tmp_path / "scsr.py"
+    script.write_text(_PROGRAM)
+    options = ["--start", "20", "--stop", "40", "--every", "4", "--group", "2", "--scale", "2", "--frames", "31"]
+    stores = {}
+    for workers in (None, 1, 2, 5):
+        store = tmp_path / f"{workers}.zarr"
+        many = [] if workers is None else ["--workers", str(workers)]
+        command = [sys.executable, str(script), "sequence", str(file), *options, *many, "-o", str(store), "--quiet"]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0 and done.stderr == "", done.stderr
+        stores[workers] = files(store)
+    assert all(store == stores[None] for store in stores.values())

@@ -121,6 +121,8 @@ def sequence(
     begin = time.perf_counter()
     done = write_sequence(plan, chosen, workers=many, overwrite=overwrite, progress=progress(quiet))
     seconds = time.perf_counter() - begin
+    if len(done.failed) == len(keys):
+        return _failures(done.failed, len(keys))
     if not quiet:
         print("\n".join(_lines(output, done, keys, seconds)))
         if chosen.is_film:

@@ -41,7 +41,7 @@ class Plan:
     - `recording`: with absolute paths, so that workers find its file.
     - `keys`: the key frames.
     - `scale`: pixels of a picture per sensor pixel, along each axis.
-    - `options`: of each picture.
+    - `options`: of each picture, validated.
     - `group`: number of neighbouring key frames that are solved for one after the other, each from the one before.
       A group starts afresh and depends on no other one.
     - `white`: intensity that is shown as white; None where it is to be found in the recording.
@@ -84,12 +84,11 @@ class Plan:
         if asked.keep_images:
             raise InputError("keep_images is True, but a sequence keeps no stages: leave it out.")
         number = whole(scale, "scale", 1)
-        asked.validated(recording, number)
         return cls(
             recording=dataclasses.replace(recording, source=_absolute(recording.source)),
             keys=range(keys[0], keys[-1] + 1, keys.step),
             scale=number,
-            options=asked,
+            options=asked.validated(recording, number),
             group=whole(group, "group", 1),
             white=None if white is None else White.given(float(white)),
         )
@@ -171,7 +170,8 @@ def described(value: Any) -> Any:
 
 def differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
     """Clauses that say in which of their parts two descriptions differ."""
-    if isinstance(there, dict) and isinstance(here, dict):
+    both = isinstance(there, dict) and isinstance(here, dict)
+    if both and there.get("kind") == here.get("kind"):
         for part in sorted(there.keys() | here.keys()):
             below = f"{name}.{part}" if name and name not in ("options", "recording") else part
             yield from differences(there.get(part), here.get(part), below)

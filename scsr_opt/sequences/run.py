@@ -59,6 +59,8 @@ def write_sequence(
     - `workers`: processes that solve for groups of pictures; this process if None. The pictures do not depend on it.
     - `overwrite`: replace an output, or a store of another plan. A store of this plan is gone on with either way.
 
+    **Returns:** what came of it. Where every solve failed, an output other than a store is not written.
+
     **Raises:** `InputError` if something else is there, the store is another plan's or is being written by another
     run, the recording cannot be read any more, or the disk is full. What is in the store stays.
     """
@@ -89,7 +91,8 @@ def write_sequence(
         if missing:
             raise InputError(f"{missing} of {pictures} pictures are missing in {place}: give the command again.")
         if chosen.path != place:
-            export(store, chosen, overwrite=overwrite, progress=meter)
+            if len(written.failed) < pictures:
+                export(store, chosen, overwrite=overwrite, progress=meter)
             shutil.rmtree(place)
     return written
 
@@ -133,9 +136,7 @@ def _prepared(place: Path, plan: Plan, overwrite: bool) -> SequenceStore:
             tidy(place)
             return store
     ready()
-    options, white = common(
-        plan.recording, tuple(plan.keys), plan.scale, plan.options.validated(plan.recording, plan.scale)
-    )
+    options, white = common(plan.recording, tuple(plan.keys), plan.scale, plan.options)
     bad = options.bad_pixels if plan.options.finds_bad_pixels else None
     assert bad is None or isinstance(bad, BadPixels)
     return SequenceStore.create(place, plan, bad, white if plan.white is None else plan.white)

@@ -109,8 +109,12 @@ def test_sequence_of_which_a_picture_fails_says_so_and_keeps_the_others(scsr, fi
 
 
 def test_sequence_without_any_picture_is_a_failure(scsr, here, file):
-    said = scsr("sequence", file, "-o", "a.gif", "--start", "13", "--stop", "14", code=2)
-    assert "has no picture that can be used: all 1 solves failed" in said
+    said = scsr("sequence", file, "-o", "a.gif", "--start", "13", "--stop", "14", code=1)
+    assert "1 of 1 picture could not be solved for, at frame 13: a value that is not finite appeared" in said
+    assert os.listdir(here) == ["ramp.npz"]
+    scsr("sequence", file, "-o", "a.zarr", "--start", "13", "--stop", "14", code=1)
+    said = scsr("export", "a.zarr", "-o", "a.gif", code=2)
+    assert "a.zarr has no picture that can be used: all 1 solves failed" in said
 
 
 @pytest.mark.parametrize("name", ["two words.zarr", "a:b.zarr", "Straße 電影.zarr", "-dash.zarr", "a..zarr", "A.ZARR"])

@@ -198,7 +198,10 @@ def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
         "frames": (lambda: made(frames=13), "frames is 11 there and 13 here"),
         "strength": (lambda: made(strength=0.1), "strength is None there and 0.1 here"),
         "motion": (lambda: made(motion=Still()), "motion is None there and Still here"),
-        "setting": (lambda: made(prior=HuberTotalVariation()), "prior is None there and HuberTotalVariation here"),
+        "setting": (
+            lambda: made(prior=HuberTotalVariation()),
+            "prior is RidgeRegulariser there and Huber",
+        ),
         "bad pixels": (lambda: made(bad_pixels="auto"), "bad_pixels is None there and 'auto' here"),
         "gain": (lambda: made(gain=np.ones((8, 12))), "gain is 'auto' there and 'float"),
         "spikes": (lambda: made(source=Recording.from_array(spikes)), "it is of another recording"),

@@ -27,7 +27,7 @@ from scsr_opt.pipeline.options import Options
 
 GROUP = 10
 """Pictures of a group, where nothing else is said: a kill costs half a group's work on average, and the first picture
-of a group takes about three times as long as one that starts from the picture before."""
+of a group takes twice as long as one that starts from the picture before (docs/decisions/0019)."""
 
 # Frames of a recording, at most, whose spikes tell it from others. Reading them takes about a second.
 _COMPARED_FRAMES = 1000

@@ -36,7 +36,9 @@ def carry(motion: Motion, frames: float | int, settings: TrajectorySettings = DE
     column = np.clip(np.rint(position[1]), 0, width - 1).astype(np.intp)
     confidence = motion.confidence[row, column]
     if motion.layers is None:
-        return Motion(*later(motion.velocity, motion.acceleration), confidence)
+        # What holds until then from there holds for as much less from here.
+        reach = None if motion.reach is None else np.maximum(motion.reach[row, column] - abs(frames), 0)
+        return Motion(*later(motion.velocity, motion.acceleration), confidence, reach=reach)
     layers = motion.layers
     fields = [later(v, a) for v, a in zip(layers.velocity, layers.acceleration, strict=True)]
     label = np.where(visible > 0, layers.label[row, column], np.argmin(layers.depth)).astype(np.int32)

@@ -6,8 +6,10 @@ samples of a moment are weighted by inverse variance: noise of variance N and a 
 sample as good as one of variance N + E.
 """
 
+from dataclasses import replace
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from scsr_opt._kernels.device import on_device
 from scsr_opt.motion.estimators.evidence import contradicts_rest
@@ -26,10 +28,14 @@ def with_trust(pictures: MotionFrames, motion: Motion, settings: MotionSettings 
     interval = 1 / max(float(np.median(np.asarray(pictures.firing))), 1e-3) if pictures.firing is not None else 1.0
     lag = int(np.clip(np.ceil(interval / (after[1] - after[0])), 1, after.size // 2))
     presmoothed = np.asarray(pictures.presmoothed(settings.comparison.presmoothing_px))
-    return Motion(
-        motion.velocity, motion.acceleration, motion.confidence, motion.layers,
-        Trust(after, _worth(presmoothed, after, motion, lag, settings)),
-    )  # fmt: skip
+    share = _worth(presmoothed, after, motion, lag, settings)
+    if motion.reach is not None:
+        # The weight falls from one reach that was tried to the next: to within as much it is known. What rests is used
+        # throughout.
+        share_left = 1 - np.abs(after)[:, None, None] / np.maximum(motion.reach, np.float32(1e-6))
+        within = np.clip(share_left / (1 - 1 / settings.reach.step), 0, 1).astype(np.float32)
+        share = np.where(_rests(motion), share, share * within)
+    return replace(motion, trust=Trust(after, share))
 
 
 def _worth(
@@ -75,6 +81,10 @@ def _worth(
     squares /= np.maximum(smoothed(inside, by.neighbourhood_px), np.float32(0.1))
     error = np.maximum(squares - np.float32(limits.chance_ratio) * noise, 0)
     share = 1 / (1 + np.float32(limits.error_weight) * error / noise_of_one)
-    still = ~(motion.velocity.any(0) | motion.acceleration.any(0))
-    steady = still & (share.min(0) >= limits.steady_worth)
+    steady = _rests(motion) & (share.min(0) >= limits.steady_worth)
     return np.where(steady, share.mean(0), share)
+
+
+def _rests(motion: Motion) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose velocity and acceleration are zero."""
+    return np.asarray(~(motion.velocity.any(0) | motion.acceleration.any(0)))

@@ -357,6 +357,29 @@ class ReliabilitySettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReachSettings(Settings):
+    """How far in time a dense motion is estimated from and used (`within_reach`)."""
+
+    above_zero = frozenset({"step", "window_px", "blend_px", "turns"})
+
+    step: float = 2**0.5
+    """Ratio of one reach to the next that is tried: the light that is gathered falls by as much, its noise by half of
+    that or less."""
+    least_near: float = 2.0
+    """Shortest reach, in reaches of the pictures next to the key frame, by which reaches are judged: half of the others
+    at least are not among these."""
+    turns: int = 2
+    """Turns of accelerations and velocities of each fit, which begins at that of the reach before."""
+    window_px: float = 12.0
+    """Gaussian window over which squared errors are averaged: some 1800 pixels, of which presmoothing leaves 150
+    independent ones. A squared error is then known to an eighth; with narrower windows chance chose."""
+    least_share: float = 0.05
+    """Share of the pixels for which a shorter reach has to be the best one; for fewer, no shorter one is tried."""
+    blend_px: float = 3.0
+    """Gaussian window over which fields of several reaches are blended, that of comparisons."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LightSettings(Settings):
     """When the light of a scene changes, and how that is found (`scsr_opt.motion.light`)."""
 
@@ -466,6 +489,8 @@ class MotionSettings(Settings):
     """Optical flow."""
     reliability: ReliabilitySettings = field(default_factory=ReliabilitySettings)
     """Trust."""
+    reach: ReachSettings = field(default_factory=ReachSettings)
+    """Reach in time of a dense motion."""
     trajectory: TrajectorySettings = field(default_factory=TrajectorySettings)
     """Inverse motion and visibility."""
     light: LightSettings = field(default_factory=LightSettings)

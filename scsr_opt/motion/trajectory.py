@@ -108,7 +108,9 @@ class Motion(eqx.Module):
     - `acceleration`: (2, h, w), sensor pixels per frame².
     - `confidence`: (h, w) in [0, 1]: 1 where the velocity is well determined, 0 where nothing supports it.
     - `layers`: surfaces that move on their own; None where one smooth motion serves the whole picture.
-    - `trust`: how far from the key frame the motion holds; None means throughout the recording.
+    - `trust`: how well the motion holds at each moment; None means perfectly.
+    - `reach`: (h, w), frames before and after the key frame within which the motion holds and samples are used
+      (`scsr_opt.motion.estimators.reach`); None, or infinite, means throughout the recording.
     """
 
     velocity: Float[np.ndarray, "2 h w"]
@@ -116,6 +118,7 @@ class Motion(eqx.Module):
     confidence: Float[np.ndarray, "h w"]
     layers: Layers | None = None
     trust: Trust | None = None
+    reach: Float[np.ndarray, "h w"] | None = None
 
     @classmethod
     def of_velocity(cls, velocity: ArrayLike, confidence: Float[np.ndarray, "h w"] | None = None) -> "Motion":
@@ -197,6 +200,7 @@ class Motion(eqx.Module):
             inserted(self.acceleration, background.acceleration),
             inserted(self.confidence, background.confidence),
             None if self.layers is None else self.layers.within(background, rows, columns),
+            reach=None if self.reach is None else inserted(self.reach, np.full(background.speed.shape, np.inf)),
         )
 
     @property

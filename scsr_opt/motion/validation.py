@@ -39,6 +39,12 @@ def validate_motion(motion: Motion, height: int, width: int) -> Motion:
         if after.ndim != 1 or after.size < 2 or not np.all(np.isfinite(after)) or not np.all(np.diff(after) > 0):
             raise InputError("motion.trust.after must be two or more times in frames, each after the one before.")
         wanted["trust.share"] = (motion.trust.share, (after.size, *picture))
+    if motion.reach is not None:
+        if np.shape(motion.reach) != picture or not (motion.reach >= 0).all():
+            raise InputError(
+                f"motion.reach has shape {np.shape(motion.reach)}; it must be {picture}, frames of 0 or more; infinite "
+                f"where the motion holds throughout."
+            )
     for name, (field, shape) in wanted.items():
         if np.shape(field) != shape:
             raise InputError(f"motion.{name} has shape {np.shape(field)}; for this recording it must be {shape}.")

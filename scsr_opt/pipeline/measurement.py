@@ -62,6 +62,18 @@ class Measurements(NamedTuple):
         )
         return self._replace(padded=padded, placed=placed)
 
+    def used_frames(self, key: int) -> Float[np.ndarray, "h w"]:
+        """How far in time each pixel's samples were used, frames before and after the `key` frame of the clip: twice
+        their mean distance from it by weight, which is T where all from −T to T count alike. 0 where none was used."""
+        samples, (height, width) = self.samples, self.still_for.shape
+        weight = np.asarray(self.placed.weight)[: samples.row.size]
+        start, stop = samples.start - np.float32(key), samples.stop - np.float32(key)
+        # ∫|t|dt = t·|t|/2.
+        distance = (stop * np.abs(stop) - start * np.abs(start)) / (2 * np.maximum(stop - start, np.float32(1e-3)))
+        pixel, size = samples.row * np.int32(width) + samples.column, height * width
+        total, seen = np.bincount(pixel, weight * distance, size), np.bincount(pixel, weight, size)
+        return (2 * total / np.where(seen > 0, seen, 1)).reshape(height, width).astype(np.float32)
+
     def gain(
         self,
         clip: Clip,

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, SupportsIndex
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from scsr_opt.camera.recording import Recording
@@ -122,6 +123,7 @@ def solve(
                 break
             found = assembly.solve(found.outcome.state)
             stages += found.outcome.stages
+    used = assembly.measurements.used_frames(assembly.task.clip.key)
     outcome, placed, clip = found.outcome, assembly.measurements.placed, assembly.task.clip
     diagnostics: Diagnostics = replace(
         assembly.diagnostics,
@@ -130,6 +132,7 @@ def solve(
         samples=int(np.count_nonzero(placed.weight)),
         positions=placed.finest,
         strength=assembly.strength,
+        used_frames=_least_usual_most(used),
         objective=stages[-1].objective,
         speed_max=float(assembly.motion.speed.max()),
         saturated=share_saturated(spike_counts(clip.spikes), len(clip.spikes), clip.bad_pixels),
@@ -142,10 +145,20 @@ def solve(
         status=outcome.status,
         stages=numbered,
         diagnostics=diagnostics,
+        used_frames=used,
         tiles=outcome.tiles,
         white=white,
         state=outcome.state,
     )
+
+
+def _least_usual_most(used: Float[np.ndarray, "h w"]) -> tuple[float, float, float] | None:
+    """The 5 %, 50 % and 95 % quantiles of the pixels that were used."""
+    some = used[used > 0]
+    if not some.size:
+        return None
+    least, usual, most = np.quantile(some, (0.05, 0.5, 0.95)).tolist()
+    return least, usual, most
 
 
 def _solution(assembly: Assembly, **found: Any) -> Solution:

@@ -40,6 +40,8 @@ class Diagnostics:
       `light_frequency`: Hz; None where it does not repeat.
       `light_unexplained`: share of the sensor whose brightness changes as that around it, which neither motion nor the
       light found explain: shadows, reflections.
+    - `used_frames`: how far in time samples were used, frames before and after the key frame: that of the pixels of
+      shortest reach (5 %), of the middle one, and of those of longest (95 %).
     - `optics_sigma`: of the lens that was estimated, sensor pixels.
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
     - `first_iterations`: where Eq. 4 was solved twice (`ridge-centred`), iterations of the first solve.
@@ -60,6 +62,7 @@ class Diagnostics:
     light_depth: float | None = None
     light_frequency: float | None = None
     light_unexplained: float | None = None
+    used_frames: tuple[float, float, float] | None = None
     optics_sigma: float | None = None
     motion_carried: bool | None = None
     first_iterations: int | None = None
@@ -80,6 +83,8 @@ class Solution:
     - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
     - `bad_pixels`: of the sensor, or of `crop`, that were not used, and why; None where all were.
     - `light`: of each moment of the clip, where it changes (`camera.light.Light`); None where it does not.
+    - `used_frames`: (h, w), how far in time each sensor pixel's samples were used, frames before and after the key
+      frame (`Measurements.used_frames`); 0 where none was; None where no picture was solved for.
     - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
     - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
     - `white`: intensity that 8-bit PNG, figures and films show as white. Those of one sequence
@@ -100,6 +105,7 @@ class Solution:
     gain: Float[np.ndarray, "h w"] | None = None
     bad_pixels: BadPixels | None = None
     light: Light | None = None
+    used_frames: Float[np.ndarray, "h w"] | None = None
     scene: SceneSummary | None = None
     tiles: TileIterations | None = None
     white: White = White()

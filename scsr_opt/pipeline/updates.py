@@ -113,7 +113,7 @@ class MotionRefinement(Update):
         task, motion, before = assembly.task, assembly.motion, assembly.measurements
         settings = task.options.settings.refinement
         refined = refine(motion, found.blurred, before.padded, before.placed, key=task.clip.key, settings=settings)
-        motion = replace(refined, trust=motion.trust)  # as reliable as the motion that was refined
+        motion = replace(refined, trust=motion.trust, reach=motion.reach)  # as reliable as the motion that was refined
         gain, finds_gain = assembly.gain, task.options.finds_gain
         measured = task.measure(motion, None if finds_gain else gain)
         measurements = measured

@@ -37,6 +37,8 @@ _MARGIN, _GUTTER, _TITLE = 0.15, 0.12, 0.3
 _WIDEST, _TALLEST, _TITLED, _SCALE = 7.0, 12.0, 3.2, 0.9
 _LIGHT = 1.2
 """Height of the course of the light, inches."""
+_VARIES = 0.2
+"""Difference of the frames that are used, relative to their median, from which on there is a map of them."""
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.size": 9.0,
@@ -126,6 +128,8 @@ def compare(
     end = third + bottom + 0.45 if solution is not None else third - 2 * _GUTTER - _TITLE + _MARGIN
     fourth, flickers = end + _TITLE, solution is not None and solution.light is not None
     end += _TITLE + _LIGHT + 0.45 if flickers else 0
+    fifth, varies = end + _TITLE, solution is not None and _used_frames_vary(solution)
+    end += _TITLE + bottom + _MARGIN if varies else 0
     with matplotlib.rc_context(_STYLE):
         drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
         if title:
@@ -150,6 +154,8 @@ def compare(
             _convergence(drawn, solution, page / 2 + 0.6, third, page / 2 - 0.6 - _MARGIN, bottom)
             if flickers:
                 _light(drawn, solution, _MARGIN + 0.4, fourth, page - 2 * _MARGIN - 0.4, _LIGHT)
+            if varies:
+                _used_frames(drawn, solution, _MARGIN, fifth, of_motion, of_motion * shape[0] / shape[1])
     return drawn
 
 
@@ -364,6 +370,26 @@ def _light(drawn: Figure, solution: Solution, x: float, y: float, wide: float, t
     axes.set_title(f"Light{depth}", loc="left", fontsize=10)
     axes.set_xlabel("frame of the clip")
     axes.set_ylim(0, 1.1 * float(most.max()))
+
+
+def _used_frames_vary(solution: Solution) -> bool:
+    """Whether some parts of the picture are of more frames than others."""
+    found = solution.diagnostics.used_frames
+    return solution.used_frames is not None and found is not None and found[2] - found[0] >= _VARIES * found[1]
+
+
+def _used_frames(drawn: Figure, solution: Solution, x: float, y: float, across: float, tall: float) -> None:
+    """Map of how far in time samples were used, with its scale to the right."""
+    assert solution.used_frames is not None and solution.diagnostics.used_frames is not None
+    least, usual, most = solution.diagnostics.used_frames
+    axes = _axes(drawn, x, y, across, tall)
+    range_ = Normalize(0, most)
+    axes.imshow(solution.used_frames, cmap="viridis", norm=range_, interpolation="nearest", aspect="auto")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    text = f"Frames used before and after the key frame: {usual:.0f} ({least:.0f} to {most:.0f})"
+    axes.set_title(text, loc="left", fontsize=10)
+    drawn.colorbar(ScalarMappable(range_, "viridis"), cax=_axes(drawn, x + across + _GUTTER, y, 0.15, tall))
 
 
 def _curve(axes: Axes, number: Sequence[int], values: Sequence[float]) -> None:

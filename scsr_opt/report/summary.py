@@ -138,6 +138,10 @@ class Report:
             kinds = ", ".join(f"{n:,} {_KINDS[kind]}" for kind, n in numbers.items())
             lines.append(f"Bad pixels: {sum(numbers.values()):,} are not used: {kinds}.")
         lines += _of_light(self.diagnostics)
+        if self.diagnostics["used_frames"] is not None:
+            least, usual, most = self.diagnostics["used_frames"]
+            parts = "" if most - least < 1 else f"; {least:.0f} to {most:.0f} in nine tenths of the pixels"
+            lines.append(f"Time: up to {usual:.0f} frames before and after the key frame are used{parts}.")
         iterations = self.diagnostics["iterations"]
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
         lines.append(f"{iterations} iterations{took}. {self.status['message']}")

@@ -1,5 +1,7 @@
 """Which samples get how many positions along their exposure, and which pixels' intervals are merged."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.samples import Samples
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.motion import Motion
-from scsr_opt.motion.trajectory import SPACING, Trajectory
+from scsr_opt.motion.trajectory import SPACING, Trajectory, Trust
 from scsr_opt.operators.sampling import moments
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.measurement import _POSITIONS, Measurements, _longest_first, measure
@@ -173,3 +175,22 @@ def test_few_exposures_that_are_a_little_long_do_not_put_all_through_corrections
     assert set(_longest_first(samples, path.speeds, path.unsteady, each=False)[1].tolist()) == {max(positions)}
     if len(positions) > 1:
         assert (row[order[:pixels]] == 7).all() and (found[:pixels] > 1).all()
+
+
+def test_used_frames_are_those_before_and_after_the_key_frame_whose_samples_have_weight(spikes):
+    """Constant light: all frames at rest; half of them where the motion is trusted for that long only."""
+    light = np.zeros_like(spikes)
+    light[::2] = 1
+    throughout = measurements(light, 0.0)
+    np.testing.assert_allclose(throughout.used_frames(32), FRAMES // 2, rtol=0.02)
+    after = np.arange(-32, 33, 4, dtype=np.float32)
+    share = np.broadcast_to((np.abs(after) <= 16)[:, None, None], (after.size, HEIGHT, WIDTH)).astype(np.float32)
+    clip = Clip.around(Recording.from_array(light), 32, frames=FRAMES, white_rate=0.6)
+    motion = dataclasses.replace(Motion.none(HEIGHT, WIDTH), trust=Trust(after, share))
+    part = measure(clip, motion, scale=2, sampling=Intervals(), merged_intervals=False)
+    np.testing.assert_allclose(part.used_frames(32), 18, rtol=0.1)  # the weight falls to 0 from 16 to 20
+    dark = measure(
+        Clip.around(Recording.from_array(np.zeros_like(light)), 32), Motion.none(HEIGHT, WIDTH), scale=2,
+        sampling=Intervals(ends=0),
+    )  # fmt: skip
+    assert not dark.used_frames(32).any()

@@ -226,12 +226,15 @@ def test_the_share_of_saturated_pixels_is_known():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "floor"), [("reds_200", 36.0), ("reds_203", 32.2)])
-def test_video_of_a_known_answer_at_sensor_resolution(shared_data, name, floor):
+@pytest.mark.parametrize(("name", "floor"), [("reds_200", 37.4), ("reds_203", 34.7)])
+@pytest.mark.parametrize("frames", [101, 301])
+def test_video_of_a_known_answer_at_sensor_resolution(shared_data, name, floor, frames):
+    """Also of three times as many frames, over which no velocity and acceleration hold: 35.3 and 33.4 without a
+    reach."""
     folder = shared_data / "recordings"
     recording = read_recording(folder / f"{name}_part1_400x250_key150.dat")
     truth = imread(folder / f"{name}_part1_key150_groundtruth.png") / 255
-    image = np.clip(reconstruct(recording, scale=1, key=150).image, 0, 1)
+    image = np.clip(reconstruct(recording, scale=1, key=150, frames=frames).image, 0, 1)
     assert -10 * np.log10(np.mean((image - truth) ** 2)) >= floor
 
 

@@ -82,6 +82,19 @@ def test_figure_playback_is_that_of_the_solution_s_key_frame_and_white_rate(solu
     np.testing.assert_allclose(np.asarray(drawn.axes[0].images[0].get_array()), expected, atol=1e-6)
 
 
+def test_figure_has_a_map_of_the_frames_that_were_used_where_they_differ(solution):
+    used = np.full((24, 40), 50.0, np.float32)
+    used[:, :20] = 20.0
+    found = dataclasses.replace(solution.diagnostics, used_frames=(20.0, 35.0, 50.0))
+    drawn = figure(dataclasses.replace(solution, used_frames=used, diagnostics=found))
+    title = "Frames used before and after the key frame: 35 (20 to 50)"
+    (axes,) = (axes for axes in drawn.axes if axes.get_title(loc="left") == title)
+    np.testing.assert_array_equal(np.asarray(axes.images[0].get_array()), used)
+    same = dataclasses.replace(solution.diagnostics, used_frames=(48.0, 50.0, 50.0))
+    alike = figure(dataclasses.replace(solution, used_frames=used, diagnostics=same))
+    assert not any(title.startswith("Frames used") for title in _titles(alike))
+
+
 def test_figure_without_stages_or_motion(solution):
     bare = dataclasses.replace(solution, stages=(), motion=None, key=0)
     assert _titles(figure(bare))[2:] == ["Motion: none", "Convergence: not recorded"]

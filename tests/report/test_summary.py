@@ -76,6 +76,19 @@ def test_lines_for_a_reader(report):
     ]
 
 
+@pytest.mark.parametrize(
+    "used, expected",
+    [
+        ((20.0, 35.2, 50.0), "Time: up to 35 frames before and after the key frame are used; 20 to 50 in nine tenths"),
+        ((49.6, 50.0, 50.2), "Time: up to 50 frames before and after the key frame are used."),
+    ],
+)
+def test_lines_say_how_far_in_time_samples_were_used(report, used, expected):
+    found = dataclasses.replace(report, diagnostics={**report.diagnostics, "used_frames": used})
+    (line,) = (line for line in found.lines() if line.startswith("Time"))
+    assert line.startswith(expected)
+
+
 def test_lines_say_what_is_saturated(report):
     def lines(saturated: float | None) -> list[str]:
         diagnostics = {**report.diagnostics, "saturated": saturated}

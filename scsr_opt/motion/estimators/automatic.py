@@ -37,6 +37,7 @@ from scsr_opt.motion.estimators.frames import MotionFrames, filled, motion_frame
 from scsr_opt.motion.estimators.layered import layered, relabelled
 from scsr_opt.motion.estimators.parametric import parametric, shows_global_motion
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
+from scsr_opt.motion.estimators.reach import within_reach
 from scsr_opt.motion.light import along_motion, find_light
 from scsr_opt.motion.propagation import carry
 from scsr_opt.motion.reliability import with_trust
@@ -66,7 +67,8 @@ class Global(Estimator):
 
 
 class Dense(Estimator):
-    """A velocity (`dense`) and an acceleration (`accelerated`) for each pixel; no edges, no occlusion.
+    """A velocity (`dense`) and an acceleration (`accelerated`) for each pixel, for as long as they hold
+    (`within_reach`); no edges, no occlusion.
 
     **Fields:** `acceleration`: False leaves it out; each pixel keeps its velocity. `settings`: thresholds.
     """
@@ -76,7 +78,9 @@ class Dense(Estimator):
 
     def __call__(self, pictures: MotionFrames) -> Motion:
         straight = dense(pictures, settings=self.settings)
-        return accelerated(pictures, straight, settings=self.settings) if self.acceleration else straight
+        if not self.acceleration:
+            return straight
+        return within_reach(pictures, accelerated(pictures, straight, settings=self.settings), self.settings)
 
 
 class Automatic(Estimator):
@@ -237,7 +241,11 @@ class _SeparateMotion:
             better = against < choice.contradiction_ratio * self.unexplained[box].sum()
         if better and motion is everywhere:  # in dim light predictions hardly differ, and noise is subtracted anyway
             motion = accelerated(part, motion, start=before, settings=settings)
-        return motion.within(self.background, *used) if better else self.background
+        # One motion that is contradicted, and nothing richer that is better: it may hold for a while.
+        found = motion if better else before
+        if found.layers is None and found.moves:
+            found = within_reach(part, found, settings)
+        return found.within(self.background, *used)
 
     def _maybe_accelerated(
         self,

@@ -48,6 +48,7 @@ def accelerated(
     *,
     start: Motion | None = None,
     turns: int | None = None,
+    reach: float = np.inf,
     settings: MotionSettings = DEFAULTS,
 ) -> Motion:
     """A dense motion with an acceleration for each pixel, sensor pixels per frame², as far as noise does not explain
@@ -55,14 +56,14 @@ def accelerated(
 
     Acceleration and velocity are improved by least squares in `turns` (those of the settings if None), from windows
     that are wider for the acceleration, which is known less well. Where a window has no texture both stay near those of
-    `start`, rest if None.
+    `start`, rest if None. Pictures within `reach` frames of the key frame take part.
     """
     start = Motion.none(*pictures.picture.shape[1:]) if start is None else start
     options = settings.dense
     sigma = options.presmoothing_px[-1]
     turn = [
-        _Level(_ACCELERATION, np.inf, sigma, options.acceleration_window_px, 1),
-        _Level(_VELOCITY, np.inf, sigma, options.accelerated_window_px, 1),
+        _Level(_ACCELERATION, reach, sigma, options.acceleration_window_px, 1),
+        _Level(_VELOCITY, reach, sigma, options.accelerated_window_px, 1),
     ]
     turns = options.acceleration_turns if turns is None else turns
     return _searched(pictures, motion, start, turn * turns, _chance_level(pictures, options), options)

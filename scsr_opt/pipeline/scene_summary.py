@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri  # scipy.stats takes a third of a second to import
 
 from scsr_opt.camera.saturation import SATURATED_SHARE, spike_counts
 from scsr_opt.motion.trajectory import Motion
@@ -157,8 +157,8 @@ def summarise_scene(
     # However regular spikes are, the phase of a pixel's first one is chance: the whole number of them between x and
     # x + 1 then has a variance of up to ¼.
     variance = max(noise**2, 1 / 4 / frames**2)
-    flat = scatter <= variance * chi2.ppf(1 - false_alarms, np.maximum(pixels - 1, 1))
-    doubt = norm.isf(false_alarms) * np.sqrt(variance / pixels)
+    flat = scatter <= variance * chdtri(np.maximum(pixels - 1, 1), false_alarms)  # quantiles of χ²
+    doubt = -ndtri(false_alarms) * np.sqrt(variance / pixels)
 
     def of_tiles(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows columns"]:
         summed = np.bincount(weights.pixel, values, minlength=height * width).reshape(height, width)

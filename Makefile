@@ -14,7 +14,7 @@ FAST := $(addprefix tests/,camera operators/test_operators.py operators/test_che
 
 help:
 	@echo 'make demo        simulate a moving scene, solve it at four times the resolution, write demo_output/'
-	@echo 'make test        all checks: ruff, import-linter, vulture, pyright, pytest (at most ten minutes)'
+	@echo 'make test        all checks: ruff, import-linter, vulture, pyright, pytest (some 15 minutes)'
 	@echo 'make test-fast   the parts without whole reconstructions (at most a minute and a half)'
 	@echo 'make test-slow   the long tests that make test leaves out'
 	@echo 'make lint        ruff, import-linter, vulture; make format   let ruff mend what it can'

@@ -190,7 +190,7 @@ class SequenceStore:
         if found:
             more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
             raise InputError(
-                f"{self.path.name} holds another sequence: {_reworded(found[0])}{more}. Give another name, or "
+                f"{self.path.name} holds another sequence: {_reworded(found[0])}{more}; give another name, or "
                 f"--overwrite to begin anew."
             )
 
@@ -274,7 +274,7 @@ class SequenceStore:
         except Exception as error:  # each codec has its own ways to fail
             where = f"frame {self.keys[part]}" if isinstance(part, int) else "one of the chunks"
             raise InputError(
-                f"{self.path.name} is damaged: {name} of {where} cannot be read ({_said(error)}). Give the command "
+                f"{self.path.name} is damaged: {name} of {where} cannot be read ({_said(error)}); give the command "
                 f"that made it again, which makes that part anew."
             ) from error
 

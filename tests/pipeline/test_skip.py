@@ -366,7 +366,7 @@ def test_scene_summary_is_told_in_words_numbers_and_a_picture(tmp_path):
     solution = reconstruct(made.spikes, scale=SCALE)
     assert solution.scene is not None
     lines = solution.scene.lines()
-    assert lines[0] == "Scene: at rest." and any("make one measurement" in line for line in lines)
+    assert lines[0] == "Scene: at rest." and any("merged into one measurement" in line for line in lines)
     numbers = solution.scene.numbers
     assert numbers["samples"] < numbers["intervals"] and sum(numbers["tiles"].values()) == pytest.approx(1, abs=1e-3)
     scene_figure(solution, title="wall").savefig(tmp_path / "scene.png")

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Real, UInt8
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, gaussian_filter, maximum_filter, minimum_filter
 from scipy.sparse import csr_array
 
 from scsr_opt._threads import in_threads
@@ -225,6 +225,7 @@ def resting_pixels(
     acceleration: Float[np.ndarray, "2 h w"],
     *,
     spikes: float | int,
+    surface: Int[np.ndarray, "h w"] | None = None,
     bad: Bool[np.ndarray, "h w"] | None = None,
     settings: BadPixelSettings = BadPixelSettings(),
 ) -> BadPixels:
@@ -240,6 +241,7 @@ def resting_pixels(
     - `velocity`, `acceleration`: of what each pixel sees in the key frame, sensor pixels per frame and per frame².
       They are smoothed: what rests must not have been taken for an object of its own.
     - `spikes`: that a pixel of intensity 1 fires in all the pictures.
+    - `surface`: number of the surface that each pixel sees in the key frame, where there are several.
     - `bad`: pixels known to be bad.
     """
     count, height, width = pictures.shape
@@ -255,6 +257,8 @@ def resting_pixels(
     moved = np.hypot(smooth[0], smooth[1]) * span
     good = np.ones(shape, bool) if bad is None else ~bad
     alike = _alike(velocity, settings.most_motion_difference_px / (span / 2), settings)
+    if surface is not None:
+        alike &= ~_near_border(surface, settings)
     rows = np.flatnonzero(good & alike & (moved >= settings.least_motion_px))
     if rows.size == 0:
         return nothing
@@ -381,6 +385,16 @@ def _alike(velocity: Float[np.ndarray, "2 h w"], most: float, settings: BadPixel
     return alike
 
 
+def _near_border(surface: Int[np.ndarray, "h w"], settings: BadPixelSettings) -> Bool[np.ndarray, "h w"]:
+    """True near the border of a surface; what is no larger than a grain of dust counts as what is around it."""
+    shares = [
+        gaussian_filter((surface == k).astype(np.float32), settings.surface_smoothing_px)
+        for k in range(surface.max() + 1)
+    ]
+    smooth, side = np.argmax(shares, axis=0), 2 * settings.border_px + 1
+    return maximum_filter(smooth, side) != minimum_filter(smooth, side)
+
+
 def _in_squares(values: Float[np.ndarray, "h w"], share: float) -> Float[np.ndarray, "h w"]:
     """Quantile of the values over 3×3 squares of 12 pixels a side, for each pixel; infinite where nothing is known."""
     height, width = values.shape
@@ -411,25 +425,28 @@ def _goes_on(
 ) -> Bool[np.ndarray, " n"]:
     """True for the pixels whose deviation goes on along the motion, either way: far, or nearer but not across it."""
     height, width = deviation.shape
-    row, column = np.divmod(pixels, width)
-    down, right = smooth[0].ravel()[pixels], smooth[1].ravel()[pixels]
-    speed = np.maximum(np.hypot(down, right), 1e-9)
     here = deviation.ravel()[pixels]
 
-    def further(y: Float[np.ndarray, " n"], x: Float[np.ndarray, " n"], reach: tuple[int, int]) -> np.ndarray:
-        """The larger of the mean deviations on both sides along (y, x), of the sign of that of the pixel itself."""
-        means = []
-        for way in (-1, 1):
-            there = []
-            for far in range(reach[0], reach[1] + 1):
-                rows, columns = (np.rint(at + way * far * step).astype(int) for at, step in ((row, y), (column, x)))
-                inside = (rows >= 0) & (columns >= 0) & (rows < height) & (columns < width)
-                value = deviation[rows.clip(0, height - 1), columns.clip(0, width - 1)]
-                there.append(np.where(inside, np.nan_to_num(value), 0))
-            means.append(np.sign(here) * np.mean(there, axis=0))
-        return np.maximum(*means)
+    def followed(down: Float[np.ndarray, "h w"], right: Float[np.ndarray, "h w"], way: int) -> np.ndarray:
+        """Deviations at 1, 2, … pixels along the lines of a field, (m, n), of the sign of that of the pixel itself."""
+        y, x = (at.astype(float) for at in np.divmod(pixels, width))
+        inside, found = np.ones(pixels.size, bool), []
+        for _ in range(max(settings.along_px)):
+            at = np.rint(y).astype(int).clip(0, height - 1), np.rint(x).astype(int).clip(0, width - 1)
+            length = np.maximum(np.hypot(down[at], right[at]), 1e-9)
+            y, x = y + way * down[at] / length, x + way * right[at] / length
+            at = np.rint(y).astype(int), np.rint(x).astype(int)
+            inside &= (at[0] >= 0) & (at[1] >= 0) & (at[0] < height) & (at[1] < width)
+            value = deviation[at[0].clip(0, height - 1), at[1].clip(0, width - 1)]
+            found.append(np.where(inside, np.nan_to_num(value), 0))
+        return np.sign(here) * np.stack(found)
 
-    far, near = (further(down / speed, right / speed, reach) for reach in (settings.along_px, settings.near_px))
-    across = further(right / speed, -down / speed, settings.near_px)
+    def further(sides: list[np.ndarray], reach: tuple[int, int]) -> np.ndarray:
+        """The larger of the mean deviations on both sides."""
+        return np.maximum(*(side[reach[0] - 1 : reach[1]].mean(0) for side in sides))
+
+    along = [followed(smooth[0], smooth[1], way) for way in (-1, 1)]
+    beside = [followed(smooth[1], -smooth[0], way) for way in (-1, 1)]
+    far, near = (further(along, reach) for reach in (settings.along_px, settings.near_px))
     most = settings.along_share * np.abs(here)
-    return (far >= most) | ((near >= most) & (near >= settings.along_ratio * across))
+    return (far >= most) | ((near >= most) & (near >= settings.along_ratio * further(beside, settings.near_px)))

@@ -153,6 +153,7 @@ class Task:
                     np.asarray(motion.velocity),
                     np.asarray(motion.acceleration),
                     spikes=clip.white_rate * len(clip.spikes),
+                    surface=None if motion.layers is None else np.asarray(motion.layers.label),
                     bad=clip.bad_pixels,
                     settings=settings,
                 )

@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from skimage import data
 
 from scsr_opt import InputError, Options, reconstruct, reconstruct_sequence
 from scsr_opt.calibration.bad_pixels import BadPixels, PixelKind
+from scsr_opt.calibration.settings import BadPixelSettings
 from scsr_opt.camera import Recording
+from scsr_opt.camera.scenes import TurningDisc
+from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion import Motion, Still
+from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.report import read_picture
 
@@ -98,3 +103,17 @@ def test_save_png_is_up_to_white_and_other_files_absolute(solution, tmp_path):
     np.testing.assert_allclose(read_picture(tmp_path / "b.png"), np.clip(solution.image / 2, 0, 1), atol=0.003)
     with pytest.raises(InputError, match="only an 8-bit .png has another"):
         solution.save(tmp_path / "b.tif", white=2.0)
+
+
+def test_find_resting_rim_of_a_turning_disc_is_not_judged():
+    """The rim stays where it is, and its pixels see some of both surfaces all the time."""
+    wall, texture = data.grass()[:160, :192] / 255, data.coins()[50:130, 60:140] / 255
+    made = simulate(TurningDisc(wall, texture, 0.004), scale=2, frames=101, sensor=Sensor(photons=1000.0), seed=2)
+
+    def found(of: BadPixelSettings) -> int:
+        settings = PipelineSettings(bad_pixels=of)
+        task = task_of(made.spikes, 2, None, Options(settings=settings, white_rate=made.white_rate))
+        frames = task.motion_frames(None)
+        return int(task.find_resting(frames, task.estimate_motion(frames)).mask.sum())
+
+    assert found(BadPixelSettings()) <= 1 < 4 < found(BadPixelSettings(border_px=0))

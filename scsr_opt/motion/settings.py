@@ -426,6 +426,9 @@ class LightSettings(Settings):
     suspicious_ratio: float = 0.4
     """Share of the limits of tiles, change and deviations from which on more frames than the clip's decide, where there
     are more."""
+    most_variance_ratio: float = 1.02
+    """Variance along the motion that is found with the light, at most, over that along the motion found without: 0.05
+    to 0.99 of thirty scenes at 10 % of flicker, 1.05 to 1.16 of four of 110 steady pans that were taken for it."""
     margin_frames: int = 32
     """Frames before and after a clip that are looked at with it: at its ends many pixels are between no two spikes."""
     stretch_frames: int = 801

@@ -14,6 +14,8 @@ from scsr_opt._kernels.device import on_device
 from scsr_opt.calibration.gain import gain_is_known, spread_of
 from scsr_opt.calibration.optics import estimate_gaussian_optics
 from scsr_opt.errors import InputError
+from scsr_opt.motion.estimators.evidence import light_explains
+from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.trajectory import Motion
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.data_term import DataTerm
@@ -108,14 +110,10 @@ def assemble_task(task: Task) -> Assembly:
     def lap(name: str) -> None:
         seconds[name] = time.perf_counter() - began - sum(seconds.values())
 
-    frames, gains, light = None, task.options.known_gain, task.clip.light
-    lamps = light is not None and not light.uniform
-    if task.estimator is not None or lamps:
-        frames = task.motion_frames(gains)
-    for _ in range(task.options.settings.motion.light.lamp_rounds if lamps else 0):
-        if frames is None:
-            break
-        task = task.with_light_along(task.estimate_motion(frames), frames)
+    gains, frames, known_motion = task.options.known_gain, None, None
+    if task.clip.light is not None:
+        task, frames, known_motion = _with_checked_light(task)
+    elif task.estimator is not None:
         frames = task.motion_frames(gains)
     task = task.at_wanted_light()
     options, clip, prior = task.options, task.clip, task.options.prior
@@ -126,7 +124,7 @@ def assemble_task(task: Task) -> Assembly:
         image_task = executor.submit(initial_image, clip, task.shape, sharp=True, settings=settings.sampling)
         early = options.finds_gain and shortcuts.sampled_gains  # little work, where windows of the sensor tell
         rest_task = executor.submit(task.estimate_gain_at_rest) if early else None
-        motion = task.estimate_motion(frames)
+        motion = task.estimate_motion(frames) if known_motion is None else known_motion
         path_task = executor.submit(task.trajectory, motion)
         if options.finds_bad_pixels:  # so few that the motion stays as it is
             task = task.without(task.find_resting(frames, motion))
@@ -212,6 +210,28 @@ def assemble_task(task: Task) -> Assembly:
         assembly = replace(assembly, method=replace(assembly.method, solver=solver))
     lap("strength")
     return assembly.with_sums()
+
+
+def _with_checked_light(task: Task) -> tuple[Task, MotionFrames | None, Motion]:
+    """The task with its light of each pixel, or without where that explains nothing; its short pictures, and the motion
+    in them."""
+    gains, settings = task.options.known_gain, task.options.settings.motion
+    plain = replace(task, clip=task.clip._replace(light=None))
+    frames, lamps = task.motion_frames(gains), task.clip.light is not None and not task.clip.light.uniform
+    motion = task.estimate_motion(frames)
+    for _ in range(settings.light.lamp_rounds if lamps else 0):
+        if frames is None:
+            break
+        task = task.with_light_along(motion, frames)
+        frames = task.motion_frames(gains)
+        motion = task.estimate_motion(frames)
+    plain_frames = plain.motion_frames(gains)
+    if frames is None or plain_frames is None:
+        return task, frames, motion
+    plain_motion = plain.estimate_motion(plain_frames)
+    if light_explains((frames, motion), (plain_frames, plain_motion), settings):
+        return task, frames, motion
+    return plain, plain_frames, plain_motion
 
 
 def _with_estimated_optics(assembly: Assembly) -> Assembly:

@@ -7,8 +7,10 @@ from scipy.ndimage import gaussian_filter
 from scsr_opt.camera import Translation, interval_rates, simulate, spike_intervals
 from scsr_opt.camera.light import Light
 from scsr_opt.motion import estimate_motion
+from scsr_opt.motion.estimators.automatic import corrected_frames, motion_in
+from scsr_opt.motion.estimators.evidence import light_explains
 from scsr_opt.motion.light import find_light
-from scsr_opt.motion.settings import LightSettings
+from scsr_opt.motion.settings import DEFAULTS, LightSettings
 
 SHAPE = (48, 64)
 FRAMES, BEFORE, PERIOD = 101, 150, 400
@@ -120,3 +122,19 @@ def test_light_uniform_equals_the_same_light_by_pixel():
     np.testing.assert_allclose(each.over(edges)[:, 2, 3], one.over(edges)[:, 0, 0], rtol=1e-6)
     assert one.part(slice(2), slice(3)) is one and each.part(slice(2), slice(3)).share.shape == (2, 2, 3)
     np.testing.assert_allclose(each.relative_to(30).at(30.0), 1, rtol=1e-6)
+
+
+def test_light_explains_what_flickers_and_not_what_moves():
+    """The light of a lamp, taken off a texture under that lamp, and off the same one under the sun."""
+    light = found_in(recorded(0.1)).light
+    assert light is not None
+
+    def explained(spikes: np.ndarray) -> bool:
+        found = []
+        for one in (light, None):
+            frames = corrected_frames(spikes, key=50, white_rate=0.6, bad_pixels=None, gain=None, light=one)
+            assert frames is not None
+            found.append((frames, motion_in(frames, None, DEFAULTS)))
+        return light_explains(found[0], found[1])
+
+    assert explained(recorded(0.1)[BEFORE : BEFORE + FRAMES]) and not explained(recorded(0.0)[BEFORE : BEFORE + FRAMES])

@@ -29,6 +29,7 @@ from scsr_opt.motion.estimators.evidence import (
     at_rest,
     contradicted,
     counts_agree,
+    light_explains,
     observable,
     predict,
     typical_noise,
@@ -423,6 +424,10 @@ def estimate_motion(
         pictures = pictures_over(light)
         assert pictures is not None
         motion = motion_in(pictures, estimator, settings)
+    plain = None if light is None else pictures_over(None)
+    if plain is not None:
+        without = motion_in(plain, estimator, settings)
+        motion = motion if light_explains((pictures, motion), (plain, without), settings) else without
     # Arrays of the caller's own, which can be written to.
     return jax.tree.map(np.array, motion)
 

@@ -80,6 +80,22 @@ def variance_along(
     return np.maximum(squares - total**2 / np.maximum(seen, np.float32(1e-6)), 0) / np.maximum(seen, 1)
 
 
+def light_explains(
+    with_light: tuple[MotionFrames, Motion], without: tuple[MotionFrames, Motion], settings: MotionSettings = DEFAULTS
+) -> bool:
+    """Whether light that was found explains the recording: pictures that are corrected for it have to agree along the
+    motion that is found in them about as well as the others do along theirs. A light that is not there was made of
+    motion, and takes it away."""
+    sigma = settings.comparison.presmoothing_px
+
+    def variance(frames: MotionFrames, motion: Motion) -> float:
+        """Relative to the square of the mean."""
+        level = float(np.mean(np.asarray(frames.picture)))
+        return float(variance_along(frames, motion, sigma).mean()) / max(level, 1e-6) ** 2
+
+    return variance(*with_light) <= settings.light.most_variance_ratio * variance(*without)
+
+
 def typical_noise(pictures: MotionFrames, motion: Motion, sigma: float | int) -> float:
     """Median variance, intensity², of the pictures along a good motion, presmoothed by `sigma` sensor pixels."""
     return float(np.median(variance_along(pictures, motion, sigma))) + 1e-5

@@ -78,8 +78,8 @@ def sequence(
 
     Motion is carried on from picture to picture and estimated anew where the recording contradicts it. A run that was
     ended in any way goes on where it was when the same command is given again, and the pictures are the same, bit for
-    bit, as without the interruption. Where the output is no .zarr, pictures are kept in OUTPUT.zarr until all are
-    there.
+    bit, as without the interruption. Where the output is no .zarr, pictures are kept in
+    OUTPUT.unfinished.zarr until all are there.
     """
     from scsr_opt.sequences.outputs import SequenceFormat, real_time
 

@@ -24,6 +24,9 @@ from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, wr
 from scsr_opt.sequences.store import Picture, SequenceStore
 
 STORE = ".zarr"
+# Of the store beside an output. It is removed at the end, so that no user's own store may bear its name, such as
+# car.zarr beside the folder car.
+_UNFINISHED = f".unfinished{STORE}"
 ARRAYS = (".npz", ".npy")
 _STILLS = {8: ".png", 16: ".png", 32: ".tif"}
 _TABLE, _IMAGES = "times.csv", "images"
@@ -111,7 +114,7 @@ class SequenceFormat:
     @property
     def store(self) -> Path:
         """The store that the sequence is solved into: `path` itself, or a folder beside it until `path` is written."""
-        return self.path if self.is_store else self.path.with_name(self.path.name + STORE)
+        return self.path if self.is_store else self.path.with_name(self.path.name + _UNFINISHED)
 
     @property
     def outputs(self) -> list[Path]:

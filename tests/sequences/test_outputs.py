@@ -85,6 +85,15 @@ def test_outputs_other_than_a_store_leave_no_store(tmp_path, plan, stand_in):
     assert done.path == tmp_path / "b.npz" and sorted(os.listdir(tmp_path)) == ["b.npz", "noise.npy"]
 
 
+@pytest.mark.parametrize("output", ["a.zarr/images", "a.zarr/image/b.npz"])
+def test_export_into_a_store_is_refused(tmp_path, store, files, output):
+    """Other programs could not read that store any more."""
+    before = files(tmp_path / "a.zarr")
+    with pytest.raises(InputError, match=r"is in the store .*a\.zarr: give a name outside of it"):
+        export(store, tmp_path / output, overwrite=True)
+    assert files(tmp_path / "a.zarr") == before
+
+
 @pytest.mark.parametrize("output", ["b", "b.npz", "b.gif"])
 def test_a_store_of_a_like_name_stays(tmp_path, plan, stand_in, output):
     """The store b.zarr is not what the folder b is made from, and removed with."""

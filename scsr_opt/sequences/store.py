@@ -45,6 +45,7 @@ STATUS_CODES = {status: number for number, status in enumerate(Status, 1)}
 
 _METADATA = "zarr.json"
 _SPIKES = "spikes is "
+_PICTURE = ("image", "velocity", "confidence")  # arrays with a chunk for each picture
 # Arrays with a number for each picture, a chunk for each group: type, and value where there is no picture.
 _RESULTS = {
     "motion_from": ("int64", -1),
@@ -84,6 +85,7 @@ class SequenceStore:
 
     def __init__(self, path: Path, metadata: bytes, arrays: "zarr.Group"):
         self.path, self._metadata, self._arrays = path, metadata, arrays
+        self._opened: dict[str, zarr.Array] = {}
         self._attributes = json.loads(metadata)["attributes"]["scsr"]
         sequence = self._attributes["sequence"]
         self.keys = range(sequence["start"], sequence["stop"], sequence["every"])
@@ -145,8 +147,9 @@ class SequenceStore:
 
     def _check_arrays(self) -> None:
         pictures = len(self.keys)
-        names = ("image", "velocity", "confidence", "t", "key_frame", "bad_pixels", *_RESULTS)
-        wrong = [name for name in names if name not in self._arrays or name != "bad_pixels" and
+        fixed = ("y", "x", "bad_pixels")
+        names = (*_PICTURE, "t", "key_frame", *fixed, *_RESULTS)
+        wrong = [name for name in names if name not in self._arrays or name not in fixed and
                  self._array(name).shape[0] != pictures]  # fmt: skip
         if wrong:
             raise InputError(
@@ -155,10 +158,12 @@ class SequenceStore:
             )
 
     def _array(self, name: str) -> "zarr.Array":
-        array: Any = self._arrays[name]
-        # Otherwise a chunk of nothing but the value that stands for absent ones is not written, and one that was lost
-        # could not be told from it.
-        return array.with_config({"write_empty_chunks": True})
+        if name not in self._opened:  # zarr reads the metadata each time
+            array: Any = self._arrays[name]
+            # Otherwise a chunk of nothing but the value that stands for absent ones is not written, and one that was
+            # lost could not be told from it.
+            self._opened[name] = array.with_config({"write_empty_chunks": True})
+        return self._opened[name]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -240,20 +245,23 @@ class SequenceStore:
         try:
             for name in _RESULTS:
                 codes = self._read(name, slice(group.start, group.stop))
-                if not self._has_chunk(name, group.start):
-                    return False
-            if not codes.all():
-                return False
             for number, code in zip(group, codes, strict=True):
-                if _status(int(code)).usable:  # type: ignore[union-attr]
-                    if not all(self._has_chunk(name, number) for name in ("image", "velocity", "confidence")):
-                        return False
+                status = self._status(number, int(code))
+                if status is None:
+                    return False
+                if status.usable:
                     if not np.isfinite(self.picture(number)).all():
                         return False
                     self.motion(number)
         except InputError:
             return False
         return True
+
+    def _status(self, number: int, code: int) -> Status | None:
+        """How the solve of a picture ended by its code; None if one of its chunks is not there."""
+        status = _status(code)
+        names = (*_RESULTS, *_PICTURE) if status is not None and status.usable else _RESULTS
+        return status if all(self._has_chunk(name, number) for name in names) else None
 
     def _has_chunk(self, name: str, number: int) -> bool:
         """Whether the chunk of an array that holds the picture `number` is there; zarr reads one that is not as if it
@@ -287,7 +295,7 @@ class SequenceStore:
         """What is known of each picture. **Raises:** `InputError` if the store is damaged."""
         codes, origins = self._read("status", slice(None)), self._read("motion_from", slice(None))
         return [
-            Picture(number, key, key / self.readout_rate, _status(int(code)), int(origin))
+            Picture(number, key, key / self.readout_rate, self._status(number, int(code)), int(origin))
             for number, (key, code, origin) in enumerate(zip(self.keys, codes, origins, strict=True))
         ]
 

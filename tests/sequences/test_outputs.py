@@ -85,6 +85,15 @@ def test_outputs_other_than_a_store_leave_no_store(tmp_path, plan, stand_in):
     assert done.path == tmp_path / "b.npz" and sorted(os.listdir(tmp_path)) == ["b.npz", "noise.npy"]
 
 
+@pytest.mark.parametrize("chunk", ["image/c/5/0/0", "confidence/c/5/0/0", "motion_from/c/1", "status/c/1"])
+def test_export_of_a_store_with_a_lost_chunk_is_refused(tmp_path, store, chunk):
+    """zarr reads NaN, or another value for what is not there."""
+    (tmp_path / "a.zarr" / chunk).unlink()
+    with pytest.raises(InputError, match=r"is not complete: [14] of its 10 pictures are missing, the first is frame"):
+        export(store, tmp_path / "b.npz")
+    assert not (tmp_path / "b.npz").exists()
+
+
 @pytest.mark.parametrize("output", ["a.zarr/images", "a.zarr/image/b.npz"])
 def test_export_into_a_store_is_refused(tmp_path, store, files, output):
     """Other programs could not read that store any more."""

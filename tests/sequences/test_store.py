@@ -396,6 +396,10 @@ def broken(path: Path, how: str) -> None:
     elif how == "no step":
         content["attributes"]["scsr"]["sequence"]["every"] = 0
         metadata.write_text(json.dumps(content))
+    elif how == "no coordinate":
+        shutil.rmtree(path / "x")
+    elif how == "coordinate cut":
+        (path / "y" / "zarr.json").write_text("{")
     elif how == "zarr 2":
         content["zarr_format"] = 2
         metadata.write_text(json.dumps(content))
@@ -415,7 +419,7 @@ def broken(path: Path, how: str) -> None:
 
 HOW_BROKEN = [
     "empty", "file", "no metadata", "cut", "no text", "list", "other zarr", "format", "no keys", "no step", "zarr 2",
-    "no array", "array cut", "array short", "codec",
+    "no array", "array cut", "array short", "codec", "no coordinate", "coordinate cut",
 ]  # fmt: skip
 
 

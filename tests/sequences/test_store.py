@@ -224,8 +224,9 @@ def test_a_creation_that_was_ended_leaves_nothing(tmp_path, plan, stand_in, monk
 
 def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
     """A plan that is not the fixture's, and what is said of the first difference."""
-    spikes = recording.spikes.copy()
+    spikes, near = recording.spikes.copy(), recording.spikes.copy()
     spikes[23, 0, 0] ^= 1  # of a key frame
+    near[41, 0, 0] ^= 1  # of a frame that is none, but the pictures before use it
     usual = {"scale": 2, "group": 4, "bad_pixels": None, "frames": 11}
 
     def made(keys=KEYS, source=recording, **others) -> Plan:
@@ -248,6 +249,7 @@ def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
         "bad pixels": (lambda: made(bad_pixels="auto"), "bad_pixels is None there and 'auto' here"),
         "gain": (lambda: made(gain=np.ones((8, 12))), "gain is 'auto' there and 'float"),
         "spikes": (lambda: made(source=Recording.from_array(spikes)), "it is of another recording"),
+        "near": (lambda: made(source=Recording.from_array(near)), "it is of another recording"),
         "rate": (lambda: made(source=replace(recording, white_rate=0.5)), "white_rate is 0.6 there and 0.5 here"),
         "length": (lambda: made(source=Recording.from_array(recording.spikes[:50])), "shape is [61, 8, 12] there"),
     }
@@ -259,7 +261,7 @@ def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
     "which",
     [
         "scale", "start", "stop", "every", "group", "white", "frames", "strength", "motion", "setting", "bad pixels",
-        "gain", "spikes", "rate", "length",
+        "gain", "spikes", "near", "rate", "length",
     ],
 )  # fmt: skip
 def test_a_store_of_another_plan_is_refused_and_kept(tmp_path, recording, plan, stand_in, files, which):

@@ -78,8 +78,8 @@ def sequence(
 
     Motion is carried on from picture to picture and estimated anew where the recording contradicts it. A run that was
     ended in any way goes on where it was when the same command is given again, and the pictures are the same, bit for
-    bit, as without the interruption. Where the output is no .zarr, pictures are kept in OUTPUT.zarr until all are
-    there.
+    bit, as without the interruption. Where the output is no .zarr, pictures are kept in
+    OUTPUT.unfinished.zarr until all are there.
     """
     from scsr_opt.sequences.outputs import SequenceFormat, real_time
 
@@ -124,7 +124,7 @@ def sequence(
     if len(done.failed) == len(keys):
         return _failures(done.failed, len(keys))
     if not quiet:
-        print("\n".join(_lines(output, done, keys, seconds)))
+        print("\n".join(_lines(output, done, keys, seconds, solving.motion != "none")))
         if chosen.is_film:
             print(real_time(recording.readout_rate, keys.step, chosen.rate))
     return _failures(done.failed, len(keys))
@@ -163,7 +163,8 @@ def export(
     return _failures(failed, len(pictures))
 
 
-def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, seconds: float) -> list[str]:
+def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, seconds: float, moving: bool) -> list[str]:
+    """What is said at the end; `moving`: motion was to be estimated."""
     asked, new = len(keys), len(keys) - done.there
     written = asked - len(done.failed)
     frames = f"frames {keys[0]} to {keys[-1]}, every {keys.step}" if asked > 1 else f"frame {keys[0]}"
@@ -172,9 +173,11 @@ def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, second
         lines.append(f"{_counted(new).capitalize()} solved for, {seconds / new:.2g} s each.")
     if done.there:
         lines.append(f"{_counted(done.there).capitalize()} had been there before.")
-    anew = done.estimated
-    times = "once" if len(anew) == 1 else f"{len(anew)} times"
-    return [*lines, f"Motion was estimated {times}, at {_listed(anew)}, and carried on between.", done.white]
+    if moving:
+        anew = done.estimated
+        times = "once" if len(anew) == 1 else f"{len(anew)} times"
+        lines.append(f"Motion was estimated {times}, at {_listed(anew)}, and carried on between.")
+    return [*lines, done.white]
 
 
 def _failures(failed: list[Any], asked: int) -> int:

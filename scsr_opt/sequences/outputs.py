@@ -21,9 +21,12 @@ from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
-from scsr_opt.sequences.store import Picture, SequenceStore
+from scsr_opt.sequences.store import Picture, SequenceStore, is_store
 
 STORE = ".zarr"
+# Of the store beside an output. It is removed at the end, so that no user's own store may bear its name, such as
+# car.zarr beside the folder car.
+_UNFINISHED = f".unfinished{STORE}"
 ARRAYS = (".npz", ".npy")
 _STILLS = {8: ".png", 16: ".png", 32: ".tif"}
 _TABLE, _IMAGES = "times.csv", "images"
@@ -111,7 +114,7 @@ class SequenceFormat:
     @property
     def store(self) -> Path:
         """The store that the sequence is solved into: `path` itself, or a folder beside it until `path` is written."""
-        return self.path if self.is_store else self.path.with_name(self.path.name + STORE)
+        return self.path if self.is_store else self.path.with_name(self.path.name + _UNFINISHED)
 
     @property
     def outputs(self) -> list[Path]:
@@ -121,8 +124,11 @@ class SequenceFormat:
     def check(self, overwrite: bool) -> None:
         """Finds out before the work whether the outputs can be written.
 
-        **Raises:** `InputError` if one cannot, or is there already and may not be overwritten.
+        **Raises:** `InputError` if one cannot, is there already and may not be overwritten, or is inside of a store.
         """
+        around = next((folder for folder in self.path.absolute().parents if is_store(folder)), None)
+        if around is not None:
+            raise InputError(f"{self.path} is in the store {around}: give a name outside of it.")
         if self.is_store:
             return  # `write_sequence` goes on with it, or refuses it
         for path in self.outputs:

@@ -29,8 +29,9 @@ GROUP = 10
 """Pictures of a group, where nothing else is said: a kill costs half a group's work on average, and the first picture
 of a group takes twice as long as one that starts from the picture before (docs/decisions/0019)."""
 
-# Frames of a recording, at most, whose spikes tell it from others. Reading them takes about a second.
-_COMPARED_FRAMES = 1000
+# Frames of a recording, at most, whose spikes tell it from others: in all, and around each key frame, where its picture
+# comes from. Reading them takes about a second.
+_COMPARED_FRAMES, _COMPARED_AROUND_KEY = 1000, 101
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +107,14 @@ class Plan:
     @functools.cached_property
     def description(self) -> dict[str, Any]:
         """All that decides the pictures, in terms of JSON. Of the recording: its shape, rates and bad pixels, and a
-        hash of the spikes of the key frames, of 1,000 of them where there are more."""
+        hash of the spikes around the key frames, of 1,000 frames at most."""
         recording = self.recording
         step = max(1, -(-len(self.keys) // _COMPARED_FRAMES))
         digest = hashlib.blake2b(digest_size=16)
+        before = (min(_COMPARED_AROUND_KEY, _COMPARED_FRAMES // len(self.keys[::step])) - 1) // 2
         for key in self.keys[::step]:
-            digest.update(np.packbits(recording.window(key, key + 1)).tobytes())
+            around = recording.window(max(0, key - before), min(recording.frames, key + before + 1))
+            digest.update(np.packbits(around).tobytes())
         return {
             "start": self.keys[0],
             "stop": self.keys[-1] + 1,

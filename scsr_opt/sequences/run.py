@@ -1,7 +1,6 @@
 """Solving for the pictures of a plan into a store, by this process or by workers, and going on where a run ended."""
 
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,13 +8,14 @@ from typing import TypeVar
 
 from scsr_opt._kernels.programs import ready
 from scsr_opt.calibration.bad_pixels import BadPixels
+from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.sequence import common, reconstruct_sequence
 from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.sequences.cluster import Workers, solve_by_workers
 from scsr_opt.sequences.outputs import SequenceFormat, export
 from scsr_opt.sequences.plan import Plan
-from scsr_opt.sequences.store import STATUS_CODES, Picture, SequenceStore, held, is_store, need_zarr, tidy
+from scsr_opt.sequences.store import STATUS_CODES, Picture, SequenceStore, held, is_store, need_zarr, remove, tidy
 
 Result = TypeVar("Result")
 
@@ -51,8 +51,8 @@ def write_sequence(
 ) -> Written:
     """Solves for the pictures of `plan` and writes them to `output`, going on where a run of the same plan ended.
 
-    Pictures go into a store: `output` itself if it ends in `.zarr`, or else the folder `output`.zarr, from which
-    `output` is made at the end and which is removed then. Memory does not grow with the number of pictures.
+    Pictures go into a store: `output` itself if it ends in `.zarr`, or else `output`.unfinished.zarr beside it, from
+    which `output` is made at the end and which is removed then. Memory does not grow with the number of pictures.
 
     **Arguments:**
     - `output`: see `SequenceFormat`.
@@ -93,7 +93,7 @@ def write_sequence(
         if chosen.path != place:
             if len(written.failed) < pictures:
                 export(store, chosen, overwrite=overwrite, progress=meter)
-            shutil.rmtree(place)
+            remove(place)
     return written
 
 
@@ -134,12 +134,18 @@ def _prepared(place: Path, plan: Plan, overwrite: bool) -> SequenceStore:
                 raise
         else:
             tidy(place)
+            store.mend_fixed(plan, lambda: _looked_for(plan)[0])
             return store
+    return SequenceStore.create(place, plan, *_looked_for(plan))
+
+
+def _looked_for(plan: Plan) -> tuple[BadPixels | None, White]:
+    """What is found in the recording for all pictures: bad pixels, None where none are looked for, and white."""
     ready()
     options, white = common(plan.recording, tuple(plan.keys), plan.scale, plan.options)
     bad = options.bad_pixels if plan.options.finds_bad_pixels else None
     assert bad is None or isinstance(bad, BadPixels)
-    return SequenceStore.create(place, plan, bad, white if plan.white is None else plan.white)
+    return bad, white if plan.white is None else plan.white
 
 
 def _metered(meter: Progress, total: int, what: str, work: Callable[[Callable[[int], None]], Result]) -> Result:

@@ -19,7 +19,7 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -45,6 +45,7 @@ STATUS_CODES = {status: number for number, status in enumerate(Status, 1)}
 
 _METADATA = "zarr.json"
 _SPIKES = "spikes is "
+_PICTURE = ("image", "velocity", "confidence")  # arrays with a chunk for each picture
 # Arrays with a number for each picture, a chunk for each group: type, and value where there is no picture.
 _RESULTS = {
     "motion_from": ("int64", -1),
@@ -84,6 +85,7 @@ class SequenceStore:
 
     def __init__(self, path: Path, metadata: bytes, arrays: "zarr.Group"):
         self.path, self._metadata, self._arrays = path, metadata, arrays
+        self._opened: dict[str, zarr.Array] = {}
         self._attributes = json.loads(metadata)["attributes"]["scsr"]
         sequence = self._attributes["sequence"]
         self.keys = range(sequence["start"], sequence["stop"], sequence["every"])
@@ -145,8 +147,9 @@ class SequenceStore:
 
     def _check_arrays(self) -> None:
         pictures = len(self.keys)
-        names = ("image", "velocity", "confidence", "t", "key_frame", "bad_pixels", *_RESULTS)
-        wrong = [name for name in names if name not in self._arrays or name != "bad_pixels" and
+        fixed = ("y", "x", "bad_pixels")
+        names = (*_PICTURE, "t", "key_frame", *fixed, *_RESULTS)
+        wrong = [name for name in names if name not in self._arrays or name not in fixed and
                  self._array(name).shape[0] != pictures]  # fmt: skip
         if wrong:
             raise InputError(
@@ -155,7 +158,12 @@ class SequenceStore:
             )
 
     def _array(self, name: str) -> "zarr.Array":
-        return self._arrays[name]  # type: ignore[return-value]
+        if name not in self._opened:  # zarr reads the metadata each time
+            array: Any = self._arrays[name]
+            # Otherwise a chunk of nothing but the value that stands for absent ones is not written, and one that was
+            # lost could not be told from it.
+            self._opened[name] = array.with_config({"write_empty_chunks": True})
+        return self._opened[name]
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -204,9 +212,8 @@ class SequenceStore:
         self._check_present()
         with _writing(self.path):
             self._array("image")[number] = solution.image
-            if solution.velocity is not None and solution.confidence is not None:
-                self._array("velocity")[number] = solution.velocity
-                self._array("confidence")[number] = solution.confidence
+            for name, values in (("velocity", solution.velocity), ("confidence", solution.confidence)):
+                self._array(name)[number] = np.nan if values is None else values
 
     def write_results(self, numbers: range, solutions: dict[str, list[Any]]) -> None:
         """Writes what is known of the pictures of a group, of which all are written, and marks the group as done.
@@ -238,10 +245,11 @@ class SequenceStore:
         try:
             for name in _RESULTS:
                 codes = self._read(name, slice(group.start, group.stop))
-            if not codes.all():
-                return False
             for number, code in zip(group, codes, strict=True):
-                if _status(int(code)).usable:  # type: ignore[union-attr]
+                status = self._status(number, int(code))
+                if status is None:
+                    return False
+                if status.usable:
                     if not np.isfinite(self.picture(number)).all():
                         return False
                     self.motion(number)
@@ -249,11 +257,45 @@ class SequenceStore:
             return False
         return True
 
+    def _status(self, number: int, code: int) -> Status | None:
+        """How the solve of a picture ended by its code; None if one of its chunks is not there."""
+        status = _status(code)
+        names = (*_RESULTS, *_PICTURE) if status is not None and status.usable else _RESULTS
+        return status if all(self._has_chunk(name, number) for name in names) else None
+
+    def _has_chunk(self, name: str, number: int) -> bool:
+        """Whether the chunk of an array that holds the picture `number` is there; zarr reads one that is not as if it
+        held the array's value for absent ones."""
+        array = self._array(name)
+        key = array.metadata.encode_chunk_key((number // array.chunks[0], *(0,) * (array.ndim - 1)))  # type: ignore
+        return (self.path / name / key).is_file()
+
+    def mend_fixed(self, plan: Plan, find: Callable[[], BadPixels | None]) -> None:
+        """Writes the arrays that do not wait for pictures again where one is damaged or lost.
+
+        **Arguments:** `find`: finds the bad pixels again, if it is theirs.
+
+        **Raises:** as `write_picture`.
+        """
+
+        def whole(name: str, values: np.ndarray | None = None) -> bool:
+            try:
+                there = self._read(name, slice(None))
+            except InputError:
+                return False
+            return self._has_chunk(name, 0) and (values is None or np.array_equal(there, values))
+
+        bad = None if whole("bad_pixels") else find()
+        with _writing(self.path):
+            for name, values in _fixed(plan, bad).items():
+                if not whole(name, None if name == "bad_pixels" else values):
+                    self._array(name)[:] = values
+
     def pictures(self) -> list[Picture]:
         """What is known of each picture. **Raises:** `InputError` if the store is damaged."""
         codes, origins = self._read("status", slice(None)), self._read("motion_from", slice(None))
         return [
-            Picture(number, key, key / self.readout_rate, _status(int(code)), int(origin))
+            Picture(number, key, key / self.readout_rate, self._status(number, int(code)), int(origin))
             for number, (key, code, origin) in enumerate(zip(self.keys, codes, origins, strict=True))
         ]
 
@@ -327,9 +369,20 @@ def _locked(file: Path) -> int | None:
 
 
 def tidy(path: Path) -> None:
-    """Removes chunks that a killed run left half-written."""
+    """Removes what a killed run left: chunks half-written, and the remains of a store that it replaced or removed."""
     for left in path.rglob("*.partial"):
         left.unlink(missing_ok=True)
+    for what in ("new", "old"):
+        shutil.rmtree(_beside(path, what), ignore_errors=True)
+
+
+def remove(path: Path) -> None:
+    """Removes a store at once, so that a kill does not leave half of it; to be called with its lock held."""
+    old = _beside(path, "old")
+    shutil.rmtree(old, ignore_errors=True)
+    with _writing(path):
+        os.replace(path, old)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def is_store(path: Path) -> bool:
@@ -345,14 +398,12 @@ def _lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White)
     zarr = need_zarr()
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
-    part, scale, pictures = plan.part, plan.scale, len(plan.keys)
-    height, width = part.height, part.width
-    top, left = (0, 0) if plan.options.crop is None else (int(plan.options.crop[0]), int(plan.options.crop[1]))
+    scale, pictures = plan.scale, len(plan.keys)
+    height, width = plan.part.height, plan.part.width
     rate = plan.recording.readout_rate
-    # Centres of the pixels, in sensor pixels whose centres are whole numbers.
-    first = 0.5 / scale - 0.5
+    fixed = _fixed(plan, bad_pixels)
     step = [plan.keys.step / rate, 1 / scale, 1 / scale]
-    begin = [plan.keys[0] / rate, top + first, left + first]
+    begin = [float(fixed[name][0]) for name in ("t", "y", "x")]
     attributes = {
         "ome": {
             "version": "0.5",
@@ -413,17 +464,25 @@ def _lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White)
     arrays["status"].attrs["meanings"] = {"0": "not there"} | {
         str(code): status.message for status, code in STATUS_CODES.items()
     }
-    places = {
-        "t": np.asarray(plan.keys) / rate,
-        "y": begin[1] + np.arange(size[0]) / scale,
-        "x": begin[2] + np.arange(size[1]) / scale,
+    for name, values in fixed.items():
+        kinds = {"dtype": values.dtype, "fill_value": {"f": float("nan"), "i": -1}.get(values.dtype.kind, 0)}
+        names = ("row", "column") if name == "bad_pixels" else (name if name in "tyx" else "t",)
+        add(name, values.shape, values.shape, names, config={"write_empty_chunks": True}, **kinds)[:] = values
+
+
+def _fixed(plan: Plan, bad_pixels: BadPixels | None) -> dict[str, np.ndarray]:
+    """The arrays that do not wait for pictures, by their names."""
+    part, scale = plan.part, plan.scale
+    top, left = (0, 0) if plan.options.crop is None else (int(plan.options.crop[0]), int(plan.options.crop[1]))
+    # Centres of the pixels, in sensor pixels whose centres are whole numbers.
+    first = 0.5 / scale - 0.5
+    return {
+        "t": np.asarray(plan.keys) / plan.recording.readout_rate,
+        "y": top + first + np.arange(scale * part.height) / scale,
+        "x": left + first + np.arange(scale * part.width) / scale,
+        "key_frame": np.asarray(plan.keys, np.int64),
+        "bad_pixels": np.zeros((part.height, part.width), np.uint8) if bad_pixels is None else bad_pixels.kind,
     }
-    for name, values in places.items():
-        add(name, values.shape, values.shape, (name,), dtype="float64")[:] = values
-    frames = np.asarray(plan.keys, np.int64)
-    add("key_frame", frames.shape, frames.shape, ("t",), dtype="int64", fill_value=-1)[:] = frames
-    kinds = np.zeros((height, width), np.uint8) if bad_pixels is None else bad_pixels.kind
-    add("bad_pixels", kinds.shape, kinds.shape, ("row", "column"), dtype="uint8", fill_value=0)[:] = kinds
 
 
 def _status(code: int) -> Status | None:

@@ -108,6 +108,11 @@ def test_sequence_of_which_a_picture_fails_says_so_and_keeps_the_others(scsr, fi
     assert Path("out/times.csv").read_text().splitlines()[3].startswith("2,,13,")
 
 
+def test_sequence_without_motion_says_nothing_of_it(scsr, file, asked):
+    said = scsr("sequence", file, "-o", "a.zarr", "--every", "10", "--scale", "1", "--motion", "none")
+    assert "Motion" not in said and "4 pictures solved for" in said
+
+
 def test_sequence_without_any_picture_is_a_failure(scsr, here, file):
     said = scsr("sequence", file, "-o", "a.gif", "--start", "13", "--stop", "14", code=1)
     assert "1 of 1 picture could not be solved for, at frame 13: a value that is not finite appeared" in said

@@ -85,11 +85,38 @@ def test_outputs_other_than_a_store_leave_no_store(tmp_path, plan, stand_in):
     assert done.path == tmp_path / "b.npz" and sorted(os.listdir(tmp_path)) == ["b.npz", "noise.npy"]
 
 
+@pytest.mark.parametrize("chunk", ["image/c/5/0/0", "confidence/c/5/0/0", "motion_from/c/1", "status/c/1"])
+def test_export_of_a_store_with_a_lost_chunk_is_refused(tmp_path, store, chunk):
+    """zarr reads NaN, or another value for what is not there."""
+    (tmp_path / "a.zarr" / chunk).unlink()
+    with pytest.raises(InputError, match=r"is not complete: [14] of its 10 pictures are missing, the first is frame"):
+        export(store, tmp_path / "b.npz")
+    assert not (tmp_path / "b.npz").exists()
+
+
+@pytest.mark.parametrize("output", ["a.zarr/images", "a.zarr/image/b.npz"])
+def test_export_into_a_store_is_refused(tmp_path, store, files, output):
+    """Other programs could not read that store any more."""
+    before = files(tmp_path / "a.zarr")
+    with pytest.raises(InputError, match=r"is in the store .*a\.zarr: give a name outside of it"):
+        export(store, tmp_path / output, overwrite=True)
+    assert files(tmp_path / "a.zarr") == before
+
+
+@pytest.mark.parametrize("output", ["b", "b.npz", "b.gif"])
+def test_a_store_of_a_like_name_stays(tmp_path, plan, stand_in, output):
+    """The store b.zarr is not what the folder b is made from, and removed with."""
+    write_sequence(plan, tmp_path / f"{output}.zarr")
+    write_sequence(plan, tmp_path / output)
+    assert sorted(os.listdir(tmp_path)) == sorted([output, f"{output}.zarr", "noise.npy"])
+    assert SequenceStore.open(tmp_path / f"{output}.zarr").picture(0).max() > 0
+
+
 def test_an_output_that_was_interrupted_goes_on_from_its_store(tmp_path, plan, stand_in):
     stand_in.stop_after = 6
     with pytest.raises(KeyboardInterrupt):
         write_sequence(plan, tmp_path / "b.gif")
-    assert sorted(os.listdir(tmp_path)) == ["b.gif.zarr", "noise.npy"]
+    assert sorted(os.listdir(tmp_path)) == ["b.gif.unfinished.zarr", "noise.npy"]
     stand_in.stop_after = None
     assert write_sequence(plan, tmp_path / "b.gif").there == 4
     assert sorted(os.listdir(tmp_path)) == ["b.gif", "noise.npy"]
@@ -105,7 +132,7 @@ def test_a_full_disk_leaves_the_store_and_nothing_else(tmp_path, plan, stand_in,
         patched.setattr("scsr_opt.sequences.outputs._write_table", full)
         patched.setattr("scsr_opt.report.pictures._write_gif", full)
         write_sequence(plan, tmp_path / output)
-    assert sorted(os.listdir(tmp_path)) == sorted([f"{output}.zarr", "noise.npy"])
+    assert sorted(os.listdir(tmp_path)) == sorted([f"{output}.unfinished.zarr", "noise.npy"])
     assert write_sequence(plan, tmp_path / output).there == 10
 
 
@@ -113,7 +140,7 @@ def test_a_plan_with_another_white_is_another_sequence_but_an_export_may_have_it
     export(store, SequenceFormat.of(tmp_path / "b.gif", white=0.4))
     with Image.open(tmp_path / "b.gif") as film:
         assert np.asarray(film.convert("L")).mean() == pytest.approx(255 / 0.4 * store.picture(0).mean(), abs=1)
-    assert replace(SequenceFormat.of("b.gif"), white=0.4).store.name == "b.gif.zarr"
+    assert replace(SequenceFormat.of("b.gif"), white=0.4).store.name == "b.gif.unfinished.zarr"
 
 
 @pytest.mark.parametrize(

@@ -138,10 +138,15 @@ def flip(path: Path) -> None:
         ("image/c/5/0/0", lambda path: path.write_bytes(b"")),
         ("image/c/5/0/0", Path.unlink),
         ("velocity/c/6/0/0/0", flip),
+        ("velocity/c/6/0/0/0", Path.unlink),
         ("confidence/c/7/0/0", flip),
+        ("confidence/c/7/0/0", Path.unlink),
         ("status/c/1", flip),
         ("status/c/1", Path.unlink),
         ("iterations/c/1", flip),
+        ("iterations/c/1", Path.unlink),
+        ("motion_from/c/1", Path.unlink),
+        ("strength/c/1", Path.unlink),
     ],
 )
 def test_a_damaged_chunk_is_found_and_its_group_solved_again(tmp_path, plan, stand_in, files, chunk, damage):
@@ -151,6 +156,44 @@ def test_a_damaged_chunk_is_found_and_its_group_solved_again(tmp_path, plan, sta
     stand_in.solved.clear()
     assert write_sequence(plan, tmp_path / "a.zarr").there == 6
     assert stand_in.solved == list(KEYS)[4:8]
+    assert files(tmp_path / "a.zarr") == whole
+
+
+@pytest.mark.parametrize("name", ["status", "strength"])
+def test_a_damaged_chunk_of_the_last_group_is_found(tmp_path, plan, stand_in, files, name):
+    """That group is smaller than a chunk."""
+    write_sequence(plan, tmp_path / "a.zarr")
+    whole = files(tmp_path / "a.zarr")
+    flip(tmp_path / "a.zarr" / name / "c" / "2")
+    assert write_sequence(plan, tmp_path / "a.zarr").there == 8
+    assert files(tmp_path / "a.zarr") == whole
+
+
+@pytest.mark.parametrize("damage", [flip, Path.unlink, lambda path: path.write_bytes(b"")])
+@pytest.mark.parametrize("chunk", ["t/c/0", "y/c/0", "x/c/0", "key_frame/c/0", "bad_pixels/c/0/0"])
+def test_a_damaged_array_of_no_picture_is_mended(tmp_path, recording, stand_in, found_bad_pixels, files, chunk, damage):
+    """Lost bad pixels would read as none, and lead to other pictures."""
+    plan = Plan.of(recording, range(3, 20, 4), scale=1, group=4)
+    write_sequence(plan, tmp_path / "a.zarr")
+    whole = files(tmp_path / "a.zarr")
+    damage(tmp_path / "a.zarr" / chunk)
+    assert write_sequence(plan, tmp_path / "a.zarr").there == 5
+    assert files(tmp_path / "a.zarr") == whole
+
+
+def test_a_lost_chunk_is_found_where_nothing_is_known(tmp_path, plan, stand_in, monkeypatch, files):
+    """Of motion that was not estimated there are chunks, too."""
+
+    def without_motion(*arguments, **options):
+        return (replace(one, motion=None) for one in stand_in(*arguments, **options))
+
+    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", without_motion)
+    write_sequence(plan, tmp_path / "a.zarr")
+    whole = files(tmp_path / "a.zarr")
+    assert np.isnan(SequenceStore.open(tmp_path / "a.zarr").motion(6)[0]).all()
+    assert write_sequence(plan, tmp_path / "a.zarr").there == 10
+    (tmp_path / "a.zarr" / "velocity" / "c" / "6" / "0" / "0" / "0").unlink()
+    assert write_sequence(plan, tmp_path / "a.zarr").there == 6
     assert files(tmp_path / "a.zarr") == whole
 
 
@@ -181,8 +224,9 @@ def test_a_creation_that_was_ended_leaves_nothing(tmp_path, plan, stand_in, monk
 
 def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
     """A plan that is not the fixture's, and what is said of the first difference."""
-    spikes = recording.spikes.copy()
+    spikes, near = recording.spikes.copy(), recording.spikes.copy()
     spikes[23, 0, 0] ^= 1  # of a key frame
+    near[41, 0, 0] ^= 1  # of a frame that is none, but the pictures before use it
     usual = {"scale": 2, "group": 4, "bad_pixels": None, "frames": 11}
 
     def made(keys=KEYS, source=recording, **others) -> Plan:
@@ -205,6 +249,7 @@ def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
         "bad pixels": (lambda: made(bad_pixels="auto"), "bad_pixels is None there and 'auto' here"),
         "gain": (lambda: made(gain=np.ones((8, 12))), "gain is 'auto' there and 'float"),
         "spikes": (lambda: made(source=Recording.from_array(spikes)), "it is of another recording"),
+        "near": (lambda: made(source=Recording.from_array(near)), "it is of another recording"),
         "rate": (lambda: made(source=replace(recording, white_rate=0.5)), "white_rate is 0.6 there and 0.5 here"),
         "length": (lambda: made(source=Recording.from_array(recording.spikes[:50])), "shape is [61, 8, 12] there"),
     }
@@ -216,7 +261,7 @@ def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
     "which",
     [
         "scale", "start", "stop", "every", "group", "white", "frames", "strength", "motion", "setting", "bad pixels",
-        "gain", "spikes", "rate", "length",
+        "gain", "spikes", "near", "rate", "length",
     ],
 )  # fmt: skip
 def test_a_store_of_another_plan_is_refused_and_kept(tmp_path, recording, plan, stand_in, files, which):
@@ -353,6 +398,10 @@ def broken(path: Path, how: str) -> None:
     elif how == "no step":
         content["attributes"]["scsr"]["sequence"]["every"] = 0
         metadata.write_text(json.dumps(content))
+    elif how == "no coordinate":
+        shutil.rmtree(path / "x")
+    elif how == "coordinate cut":
+        (path / "y" / "zarr.json").write_text("{")
     elif how == "zarr 2":
         content["zarr_format"] = 2
         metadata.write_text(json.dumps(content))
@@ -372,7 +421,7 @@ def broken(path: Path, how: str) -> None:
 
 HOW_BROKEN = [
     "empty", "file", "no metadata", "cut", "no text", "list", "other zarr", "format", "no keys", "no step", "zarr 2",
-    "no array", "array cut", "array short", "codec",
+    "no array", "array cut", "array short", "codec", "no coordinate", "coordinate cut",
 ]  # fmt: skip
 
 

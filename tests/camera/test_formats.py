@@ -8,7 +8,7 @@ import warnings
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skimage.io import imread
@@ -80,6 +80,8 @@ BINARY = hnp.arrays(np.uint8, hnp.array_shapes(min_dims=3, max_dims=3, max_side=
 @settings(deadline=None, max_examples=30)
 @given(data=st.data(), spikes=BINARY)
 def test_what_was_written_is_read_back(tmp_path_factory, ending, data, spikes):
+    # Of a cube not even the size tells the axis of time: where the content does not either, it is asked for.
+    assume(len(set(spikes.shape)) > 1)
     path = tmp_path_factory.mktemp("trip") / f"recording{ending}"
     _, height, width = spikes.shape
     mask = data.draw(st.one_of(st.none(), hnp.arrays(bool, (height, width))))

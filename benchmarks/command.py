@@ -182,7 +182,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def marks(name: str) -> tuple[str, str]:
-    """What stands before and after the figures of a page that a benchmark writes."""
+    """The two comments of a page between which a benchmark writes its figures."""
     return f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
 
 

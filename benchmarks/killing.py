@@ -28,7 +28,7 @@ import numpy as np
 
 @dataclass
 class Kills:
-    """What was killed and what came of it.
+    """Kills of a run, and how the store that was left compares.
 
     **Fields:** `runs` and `workers` that were killed; `stores` that were compared, `same` of them equal; `faults`: what
     runs said that were not killed and failed.

@@ -76,7 +76,7 @@ class ModelStages:
 
     @property
     def minimises(self) -> str:
-        """Which column of the table the model makes small."""
+        """A clause that names the objective which the model minimises, as the table's columns are called."""
         if self.prior is None:
             return "trained towards true pictures, makes no column small"
         return "minimises the objective" if self.prior == SHARED else f"minimises 'own', with the prior {self.prior}"

@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _signal_behind(error: BaseException) -> BaseException | None:
-    """What a signal raised and Python or a library made another error of, as happens while a module is imported; None
+    """The exception of a signal that Python or a library turned into another error, as during an import; None
     if there was no signal."""
     behind: BaseException | None = error
     while behind is not None and not isinstance(behind, KeyboardInterrupt | _Terminated):

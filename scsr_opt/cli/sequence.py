@@ -164,7 +164,7 @@ def export(
 
 
 def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, seconds: float, moving: bool) -> list[str]:
-    """What is said at the end; `moving`: motion was to be estimated."""
+    """The sentences that `scsr sequence` prints at the end; `moving`: whether motion was to be estimated."""
     asked, new = len(keys), len(keys) - done.there
     written = asked - len(done.failed)
     frames = f"frames {keys[0]} to {keys[-1]}, every {keys.step}" if asked > 1 else f"frame {keys[0]}"

@@ -97,8 +97,8 @@ def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
 
 
 def common(recording: Recording, keys: tuple[int, ...], scale: int, options: Options) -> tuple[Options, White]:
-    """What all pictures of a sequence have in common: the options, with bad pixels as its middle picture finds them
-    where they are to be found, and white."""
+    """Options and white that all pictures of a sequence share. Bad pixels, where they are to be found, are those of its
+    middle picture."""
     if options.finds_bad_pixels:
         options = replace(options, bad_pixels=_bad_pixels(task_of(recording, scale, keys[len(keys) // 2], options)))
     return options, _white(recording, keys, options)

@@ -40,7 +40,8 @@ def test_workers_go_on_with_a_store(tmp_path, plan, stand_in, files, cluster):
     there = sum(one.status is not None for one in SequenceStore.open(tmp_path / "a.zarr").pictures())
     assert there < 10
     stand_in.stop_after = None
-    assert write_sequence(plan, tmp_path / "a.zarr", workers=workers).there == there
+    # Workers of a scheduler outlive the run that failed: one may end a group in between.
+    assert there <= write_sequence(plan, tmp_path / "a.zarr", workers=workers).there < 10
     assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
 
 

@@ -9,7 +9,7 @@ the data term and strength that `reconstruct` would use with it.
 | `ista-tv`, `fista-tv` | Eq. 5, plain and accelerated, with total variation |
 | `fista-huber` | Huber-TV: the default of `reconstruct` above a scale of 3 |
 | `ridge`, `ridge-weakly` | a learned prior (`RidgeRegulariser`), convex (the default up to 3) and weakly convex |
-| `ridge-centred` | `ridge`, then once more, centred at a network's restoration of it (`learned.networks.restoration`) |
+| `ridge-centred` | `ridge`, then once more, centred at a network's restoration of it: `quality="best"` |
 | `unrolled`, `unrolled-pase` | ISTA unrolled, with learned steps; on spike intervals, or on encoded spikes |
 | `spikesr-small`, `spikesr-full` | SpikeSR-Net |
 
@@ -18,7 +18,6 @@ with its scale, `spikesr-small-x4`, is the id of a model: of its weights, of the
 (`scsr train spikesr-small-x4`), and for `learned.load_model`.
 """
 
-import dataclasses
 import functools
 import time
 from collections.abc import Callable
@@ -36,7 +35,7 @@ from numpy.typing import ArrayLike
 from learned.evaluation.inference import Call, Run, call, check_stages, run
 from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, reference_problem, reference_task
 from learned.evaluation.stages import stages_of
-from learned.networks.restoration import RestorationNet, first_prior, restored
+from learned.networks.restoration import NetworkRestoration, RestorationNet
 from learned.training import checkpoint
 from scsr_opt import reconstruct
 from scsr_opt._arrays import as_array
@@ -48,7 +47,6 @@ from scsr_opt.motion.trajectory import Motion
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.pipeline.task import Task
-from scsr_opt.priors.centred import Centred
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.priors.total_variation import TotalVariation
@@ -75,11 +73,22 @@ NETWORKS = (CENTRED, "unrolled", "unrolled-pase", "spikesr-small", "spikesr-full
 
 @dataclass(frozen=True)
 class Optimizer:
-    """Eq. 4 solved by `reconstruct` with this prior and solver."""
+    """Eq. 4 solved by `reconstruct` with this prior and solver; where a network restores the solution, solved once more
+    with the prior centred at its picture (`Options.quality`).
+
+    **Fields:** `name`; `prior`; `solver`; `restoration`, None for one solve; `path` of the restoring network's weights.
+    """
 
     name: str
     prior: Prior
     solver: Solver
+    restoration: NetworkRestoration | None = None
+    path: Path | None = None
+
+    @property
+    def quality(self) -> Any:
+        """`Options.quality`."""
+        return "fast" if self.restoration is None else self.restoration
 
     def __call__(
         self,
@@ -96,17 +105,19 @@ class Optimizer:
         **Arguments:** as of `reconstruct` (`options`: `keep_images`, `progress`), and `start` (H, W), which replaces
         the initial image X^(0).
 
-        **Raises:** `InputError` for an argument that cannot be used.
+        **Raises:** `InputError` for an argument that cannot be used, or another scale than the network's.
         """
+        self.check(whole(scale, "scale", 1))
         clip: dict[str, Any] = {"scale": scale, "key": key, "white_rate": white_rate}
         if start is None:
-            return reconstruct(spikes, **clip, prior=self.prior, solver=self.solver, **options)
+            return reconstruct(spikes, **clip, prior=self.prior, solver=self.solver, quality=self.quality, **options)
         return self.solve(reference_problem(reference_task(spikes, **clip), prior=self.prior), start=start, **options)
 
     def solve(
         self, posed: ReferenceProblem, *, start: Float[Array | np.ndarray, "H W"] | None = None, **options: Any
     ) -> Solution:
         """The picture with motion, gain and strength of the problem `posed`, and the model's own prior."""
+        self.check(posed.task.scale)
         problem, state = self.problem(posed), None
         if start is not None and posed.usable:
             state = _state(self.solver, problem, _checked_start(posed.task, start))
@@ -118,108 +129,21 @@ class Optimizer:
             prior=self.prior,
             strength=float(problem.strength),
             solver=self.solver,
+            quality=self.quality,
             state=state,
             **options,
         )
 
     def check(self, scale: int) -> None:
-        """Raises nothing: an optimizer works at every scale."""
+        """**Raises:** `InputError` if a network that restores was trained for another scale; all else works at any."""
+        if self.restoration is not None and self.path is not None:
+            _check_scale(self.path, self.restoration.net.config.scale, scale)
 
     def problem(self, posed: ReferenceProblem) -> Problem:
         """The problem of the first iteration, with the model's own prior and its share of the strength."""
         share = relative_strength(self.prior) / relative_strength(posed.prior)
         data = posed.problem(posed.first).data
         return Problem(data, self.prior, posed.strength * np.float32(share))
-
-
-@dataclass(frozen=True)
-class CentredOptimizer(Optimizer):
-    """Eq. 4 solved as by `Optimizer`, the solution restored by a network, and Eq. 4 solved again with the prior centred
-    there and a larger λ (`learned.networks.restoration`).
-
-    `Solution.stages` are those of both solves, the first `diagnostics.first_iterations` of them of the first; an
-    objective is that of the solve that the stage belongs to. `diagnostics.seconds` names `first solve` and `restoring`.
-    The first solution is returned where the first solve fails, where there is no sample, and where the network's
-    picture is not finite (`Status.non_finite`). Where gains are not given, each solve finds its own.
-
-    **Fields:** as of `Optimizer`; `path` of the network's weights; `strength_ratio`, λ of the second solve over that of
-    the first: 1 to 4 differ by 0.01 dB, as the restored picture agrees with the data.
-    """
-
-    path: Path
-    strength_ratio: float = 2.0
-
-    @cached_property
-    def net(self) -> RestorationNet:
-        """The network. **Raises:** `InputError` if the file cannot be used, or holds another one."""
-        net, card = checkpoint.load(self.path)
-        if not isinstance(net, RestorationNet):
-            raise InputError(f"{self.path.name} holds the network {card.model}, but restoration is wanted.")
-        return net
-
-    def __call__(
-        self,
-        spikes: ArrayLike | Recording,
-        *,
-        scale: SupportsIndex,
-        key: SupportsIndex | None = None,
-        white_rate: SupportsFloat | None = None,
-        start: Float[Array | np.ndarray, "H W"] | None = None,
-        **options: Any,
-    ) -> Solution:
-        """The picture of a key frame; arguments as of `Optimizer`, `start` for the first solve.
-
-        **Raises:** `InputError` for an argument that cannot be used, or another scale than the network's.
-        """
-        self.check(whole(scale, "scale", 1))
-        clip: dict[str, Any] = {"scale": scale, "key": key, "white_rate": white_rate}
-        first = super().__call__(spikes, **clip, start=start, **options)
-        if start is not None:  # by `solve`, which has solved twice
-            return first
-        return self._again(first, functools.partial(reconstruct, spikes, **clip), **options)
-
-    def solve(
-        self, posed: ReferenceProblem, *, start: Float[Array | np.ndarray, "H W"] | None = None, **options: Any
-    ) -> Solution:
-        """The picture with motion and gain of the problem `posed` in both solves."""
-        self.check(posed.task.scale)
-        first = super().solve(posed, start=start, **options)
-        again = functools.partial(reconstruct, posed.task.recording, **_clip_of(posed.task), gain=posed.gain)
-        return self._again(first, again, **options)
-
-    def check(self, scale: int) -> None:
-        """**Raises:** `InputError` if the network is for another scale, or its file cannot be used."""
-        _check_scale(self.path, self.net.config.scale, scale)
-
-    def _again(self, first: Solution, again: Callable[..., Solution], **options: Any) -> Solution:
-        if not first.status.usable or first.state is None or first.motion is None:
-            return first
-        begin = time.perf_counter()
-        strength = first.diagnostics.strength
-        assert strength is not None  # a usable solve has one
-        centre = restored(self.net, jnp.asarray(first.image), np.float32(strength))
-        if not bool(jnp.isfinite(centre).all()):
-            return dataclasses.replace(first, status=Status.non_finite)
-        prior = Centred(self.prior, centre)
-        restoring = time.perf_counter() - begin
-        solution = again(
-            prior=prior,
-            strength=self.strength_ratio * strength,
-            solver=self.solver,
-            motion=first.motion,
-            state=first.state._replace(image=centre, prior=prior.initial_state(centre)),
-            **options,
-        )
-        stages = first.stages + solution.stages
-        seconds = {"first solve": sum(first.diagnostics.seconds.values()), "restoring": restoring}
-        diagnostics = dataclasses.replace(
-            solution.diagnostics,
-            iterations=len(stages),
-            first_iterations=len(first.stages),
-            seconds=seconds | solution.diagnostics.seconds,
-        )
-        stages = tuple(dataclasses.replace(stage, number=n) for n, stage in enumerate(stages, 1))
-        return dataclasses.replace(solution, stages=stages, diagnostics=diagnostics)
 
 
 @eqx.filter_jit
@@ -375,7 +299,7 @@ def model(name: str, scale: int) -> Model:
     if name.endswith(".scsr"):
         network = Network(name, Path(name))
         if isinstance(network.net, RestorationNet):
-            return _centred(name, network.path)
+            return _centred(name, network)
         check_stages(network.net, network.card)  # reads the file, too
         return network
     if name not in NETWORKS:
@@ -390,11 +314,32 @@ def model(name: str, scale: int) -> Model:
             f"There are no weights of {name} for scale {scale} (shipped are: {shipped}); `scsr train` makes some, and "
             f"the path of its .scsr file can be given in the place of a name."
         )
-    return _centred(name, path) if name == CENTRED else Network(name, path)
+    network = Network(name, path)
+    return _centred(name, network) if name == CENTRED else network
 
 
-def _centred(name: str, path: Path) -> CentredOptimizer:
-    return CentredOptimizer(name, first_prior(), FISTA(), path)
+def _centred(name: str, network: Network) -> Optimizer:
+    """**Raises:** `InputError` if the file cannot be used, or holds another network."""
+    if not isinstance(network.net, RestorationNet):
+        raise InputError(f"{network.path.name} holds the network {network.card.model}, but restoration is wanted.")
+    return Optimizer(name, *OPTIMIZERS["ridge"](), NetworkRestoration(network.net), network.path)
+
+
+@functools.cache
+def best(scale: int) -> NetworkRestoration:
+    """The restoration of `reconstruct(…, quality="best")` for a scale, whose weights are read once.
+
+    **Raises:** `InputError` if there are no weights for this scale.
+    """
+    scales = sorted(int(file.stem.rpartition("-x")[2]) for file in CHECKPOINTS.glob(f"{CENTRED}-x*.scsr"))
+    if scale not in scales:
+        raise InputError(
+            f"quality is 'best' and the scale is {scale}, but there are networks for {' and '.join(map(str, scales))} "
+            f"only: take one of these scales, or quality='fast'."
+        )
+    found = model(CENTRED, scale)
+    assert isinstance(found, Optimizer) and found.restoration is not None
+    return found.restoration
 
 
 def names(scale: int) -> list[str]:

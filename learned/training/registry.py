@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, UInt8
@@ -189,37 +190,47 @@ def _on_inputs(
 
 
 def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
-    from learned.networks.restoration import RestorationConfig, RestorationNet, first_prior, restoration_loss, restored
-    from scsr_opt.pipeline.reconstruct import reconstruct
-    from scsr_opt.solvers.proximal_gradient import FISTA
+    from learned.networks.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
+    from scsr_opt.pipeline.assembly import assemble_task
+    from scsr_opt.pipeline.options import Options
+    from scsr_opt.pipeline.reconstruct import UPDATES
+    from scsr_opt.pipeline.restoration import Solved
+    from scsr_opt.pipeline.task import task_of
+    from scsr_opt.pipeline.updates import solve_with_updates, solved_by
+    from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 
     config = _replaced(RestorationConfig(scale), network)
 
-    def solution(spikes: Any, white_rate: Any) -> tuple[Float[np.ndarray, "H W"], np.float32]:
-        # By the solver that is named where the network is used (`learned.zoo`).
-        given = {"white_rate": float(white_rate), "prior": first_prior(), "solver": FISTA()}
-        found = reconstruct(np.asarray(spikes), scale=scale, **given)
-        return found.image, np.float32(found.diagnostics.strength or 0.0)  # none where nothing was seen
+    def solution(spikes: Any, white_rate: Any) -> Solved:
+        options = Options(white_rate=float(white_rate), prior=RidgeRegulariser.load())
+        assembly = assemble_task(task_of(np.asarray(spikes), scale, None, options))
+        if not assembly.usable:
+            nothing = np.zeros(assembly.image.shape, np.float32)
+            return Solved(nothing, nothing, nothing, np.float32(0))
+        assembly, found, *_ = solve_with_updates(assembly, None, UPDATES)
+        return solved_by(assembly, found)
+
+    def of_arrays(prepared: Mapping[str, Any]) -> Solved:
+        return Solved(*(jnp.asarray(prepared[name], jnp.float32) for name in Solved._fields))
 
     def make(example: Example) -> Mapping[str, Any]:
-        image, strength = solution(example.spikes, example.white_rate)
-        return {"image": image, "strength": strength, "truth": example.truth}
+        found = solution(example.spikes, example.white_rate)
+        return {name: np.asarray(value) for name, value in found._asdict().items()} | {"truth": example.truth}
 
     def loss(model: Any, prepared: Any) -> Float[Array, ""]:
-        image = jnp.asarray(prepared["image"], jnp.float32)
-        border = scale * min(8, min(image.shape) // scale // 8)  # there no motion is known
-        return restoration_loss(model(image, prepared["strength"]), prepared["truth"], border)
+        found = of_arrays(prepared)
+        border = scale * min(8, min(found.image.shape) // scale // 8)  # there no motion is known
+        return restoration_loss(model(found), prepared["truth"], border)
 
     def varied(prepared: Mapping[str, Any], rng: np.random.Generator) -> Mapping[str, Any]:
         turns, flipped = int(rng.integers(4)), bool(rng.integers(2))
         return {name: turned(value, turns, flipped) if np.ndim(value) else value for name, value in prepared.items()}
 
     def prepared_picture(model: Any, prepared: Any) -> Float[Array, "H W"]:
-        return restored(model, jnp.asarray(prepared["image"], jnp.float32), prepared["strength"])
+        return restored(model, of_arrays(prepared))
 
     def picture(model: Any, spikes: Any, white_rate: Any) -> Float[Array, "H W"]:
-        image, strength = solution(spikes, white_rate)
-        return restored(model, jnp.asarray(image), strength)
+        return restored(model, jax.tree.map(jnp.asarray, solution(spikes, white_rate)))
 
     return Trainable(
         lambda key: RestorationNet(config, key=key), loss, picture, Preparation(make, {}, prepared_picture, varied)

@@ -78,6 +78,13 @@ class Solving:
             "Default: none."
         ),
     ] = None
+    quality: Annotated[
+        Literal["fast", "best"],
+        Parameter(
+            help="best: a network restores the picture, which is then solved for again about the network's, so that "
+            "the data are met: sharper, in two to three times the time; for --scale 2 and 4."
+        ),
+    ] = "fast"
     prior: Annotated[
         Prior | None,
         Parameter(
@@ -155,6 +162,7 @@ class Solving:
             "robust": self._robust(),
             "gain": self._gain(shapes),
             "optics": self._optics(part, scale),
+            "quality": None if self.quality == "fast" else self.quality,
             "prior": self._prior(scale),
             "strength": self.strength,
             "solver": self._solver(),

@@ -200,6 +200,8 @@ def assemble_task(task: Task) -> Assembly:
         assembly = assembly.with_validated_strength()
     if options.solver is None:
         block_diagonal = measured.placed.on_sensor and assembly.method.optics is None
+        if options.restores:  # solved again, with a prior that has only a proximal step
+            block_diagonal = False
         solver = default_solver(
             prior,
             strength=assembly.strength,

@@ -31,9 +31,11 @@ from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators.blur import Blur
 from scsr_opt.operators.losses import Loss
 from scsr_opt.pipeline.defaults import default_prior
+from scsr_opt.pipeline.restoration import Restoration, restoration_of
 from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.strength import relative_strength
 from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.solver import Solver
 
 
@@ -98,6 +100,9 @@ class Options:
       that is measured.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
+    - `quality`: "fast", the default, or "best": a network restores the solution, and Eq. 4 is solved again with the
+      prior centred at its picture (`scsr_opt.pipeline.restoration`), in two to three times the time. A `Restoration`
+      takes the place of that network.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
     - `strength`: λ; if None, the one that predicts held-out intervals best (`StrengthSearch`), or, with a robust
       loss, the one by their noise. `PlugAndPlay` needs one.
@@ -123,6 +128,7 @@ class Options:
     gain: ArrayLike | Literal["auto", "blind"] | None = "auto"
     dark: ArrayLike | None = None
     optics: Blur | Literal["estimate"] | None = None
+    quality: str | Restoration = "fast"
     prior: Prior | None = None
     strength: SupportsFloat | None = None
     robust: Loss | None = None
@@ -176,7 +182,11 @@ class Options:
         check_type(self.shortcuts, Shortcuts, "shortcuts", "Shortcuts.none()")
         check_type(self.settings, PipelineSettings, "settings", "PipelineSettings()")
         check_type(self.lens, Blur, "optics", "Blur.gaussian(shape, sigma), or 'estimate'")
-        prior = default_prior(scale, self.settings.learned_prior_scale) if self.prior is None else self.prior
+        if self.restores:
+            self._check_restoration(scale)
+        prior = self.prior
+        if prior is None:
+            prior = default_prior(scale, scale if self.restores else self.settings.learned_prior_scale)
         if self.solver is not None:
             self.solver.check(prior)
         motion, bad = self.motion, self.bad_pixels
@@ -220,6 +230,31 @@ class Options:
     def estimates_optics(self) -> bool:
         """True where the lens is to be estimated."""
         return isinstance(self.optics, str) and self.optics == "estimate"
+
+    @property
+    def restores(self) -> bool:
+        """True where a network restores the solution, and Eq. 4 is solved again about its picture."""
+        return not (isinstance(self.quality, str) and self.quality == "fast")
+
+    def restoration(self, scale: int) -> Restoration:
+        """What restores the solution, where it `restores`. **Raises:** as `restoration_of`."""
+        return self.quality if isinstance(self.quality, Restoration) else restoration_of(scale)
+
+    def _check_restoration(self, scale: int) -> None:
+        """**Raises:** `InputError` if the solution cannot be restored."""
+        if not isinstance(self.quality, Restoration) and not (isinstance(self.quality, str) and self.quality == "best"):
+            raise InputError(f"quality is {shown(self.quality)}; it must be 'fast', 'best' or a Restoration.")
+        if self.robust is not None:
+            raise InputError(
+                f"quality is 'best' and robust is {type(self.robust).__name__}, but only solutions with squares are "
+                f"restored: leave robust out, or take quality='fast'."
+            )
+        if isinstance(self.quality, str) and not isinstance(self.prior, RidgeRegulariser | None):
+            raise InputError(
+                f"quality is 'best' and the prior is {type(self.prior).__name__}, but the network restores solutions "
+                f"with RidgeRegulariser: leave prior out, or take quality='fast'."
+            )
+        self.restoration(scale)
 
     @property
     def finds_bad_pixels(self) -> bool:

@@ -24,12 +24,12 @@ from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.task import task_of
-from scsr_opt.pipeline.updates import GainUpdate, MotionRefinement
+from scsr_opt.pipeline.updates import CentreUpdate, GainUpdate, MotionRefinement, solve_with_updates
 from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Status
 
-UPDATES = (GainUpdate(), MotionRefinement())
+UPDATES = (GainUpdate(), MotionRefinement(), CentreUpdate())
 """Updates that are applied between two solves, in this order."""
 
 
@@ -112,38 +112,29 @@ def solve(
         )
     began = time.perf_counter()
     assembly = replace(assembly, method=replace(assembly.method, progress=progress))
-    found = assembly.solve(state)
-    stages = list(found.outcome.stages)
-    for update in UPDATES:
-        for number in range(update.rounds(assembly)):
-            if not found.outcome.status.usable:
-                break
-            assembly, changed = update(assembly, found, number)
-            if not changed:
-                break
-            found = assembly.solve(found.outcome.state)
-            stages += found.outcome.stages
+    assembly, found, stages, first_iterations = solve_with_updates(assembly, state, UPDATES)
     used = assembly.measurements.used_frames(assembly.task.clip.key)
     outcome, placed, clip = found.outcome, assembly.measurements.placed, assembly.task.clip
+    known = assembly.diagnostics
     diagnostics: Diagnostics = replace(
-        assembly.diagnostics,
+        known,
         iterations=len(stages),
+        first_iterations=first_iterations if assembly.task.options.restores else None,
         solver=type(assembly.method.solver).__name__,
         samples=int(np.count_nonzero(placed.weight)),
         positions=placed.finest,
-        strength=assembly.strength,
+        strength=assembly.strength if known.strength is None else known.strength,
         used_frames=_least_usual_most(used),
         objective=stages[-1].objective,
         speed_max=float(assembly.motion.speed.max()),
         saturated=share_saturated(spike_counts(clip.spikes), len(clip.spikes), clip.bad_pixels),
-        seconds={**assembly.diagnostics.seconds, "solving": time.perf_counter() - began},
+        seconds={**known.seconds, "solving": time.perf_counter() - began - known.seconds.get("restoring", 0.0)},
     )
-    numbered = tuple(replace(stage, number=number) for number, stage in enumerate(stages, 1))
     return _solution(
         assembly,
         image=outcome.image,
         status=outcome.status,
-        stages=numbered,
+        stages=stages,
         diagnostics=diagnostics,
         used_frames=used,
         tiles=outcome.tiles,

@@ -29,7 +29,7 @@ class Diagnostics:
     """Numbers that a reconstruction found on its way; None where one does not apply.
 
     **Fields:**
-    - `iterations`, `solver` (its name), `strength` λ, `objective` (Eq. 4, halved, at the picture).
+    - `iterations`, `solver` (its name), `strength` λ, `objective` (Eq. 4, halved, at the picture; of the last solve).
     - `samples` that were used, and `positions` along an exposure at most.
     - `speed_max`: sensor pixels per frame. `saturated`: share of the pixels that fired in 90 % of the frames or more;
       where they lie the picture is a lower bound.
@@ -44,7 +44,8 @@ class Diagnostics:
       shortest reach (5 %), of the middle one, and of those of longest (95 %).
     - `optics_sigma`: of the lens that was estimated, sensor pixels.
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
-    - `first_iterations`: where Eq. 4 was solved twice (`ridge-centred`), iterations of the first solve.
+    - `first_iterations`: of `iterations`, those before Eq. 4 was solved again about a restored picture
+      (`Options.quality`); `strength` is the λ of these.
     - `seconds`: by part of the work.
     """
 

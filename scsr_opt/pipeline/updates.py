@@ -1,29 +1,42 @@
-"""Updates between two solves: gains of the pixels, and the motion, from the picture so far.
+"""Updates between two solves: gains of the pixels, the motion, and the picture that the prior is centred at, from the
+picture so far.
 
-The outer loop (`scsr_opt.pipeline.reconstruct`) solves, applies an update, and solves again from there. Two more
-updates happen within a solve, as they need no more than its picture: corrections for the motion during exposures, and
-weights of a robust loss (`scsr_opt.pipeline.outer_loop`).
+`solve_with_updates` solves, applies an update, and solves again from there. Two more updates happen within a solve, as
+they need no more than its picture: corrections for the motion during exposures, and weights of a robust loss
+(`scsr_opt.pipeline.outer_loop`).
 """
 
 import abc
+import time
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from scsr_opt._kernels.device import on_device
 from scsr_opt.calibration.gain import gain_is_known, spread_of
 from scsr_opt.pipeline.assembly import Assembly
 from scsr_opt.pipeline.measurement import Measurements
 from scsr_opt.pipeline.motion_refinement import refine
 from scsr_opt.pipeline.outer_loop import Majorized
+from scsr_opt.pipeline.restoration import Solved, solved
+from scsr_opt.priors.centred import Centred
+from scsr_opt.solvers.record import Stage, Status
 
 
 class Updated(NamedTuple):
-    """The problem after an update, and whether it has changed so that it must be solved again."""
+    """The problem after an update.
+
+    **Fields:** `changed`: it must be solved again; `anew`: from `Assembly.near`, not from where the last solve ended;
+    `failed`: the update found a value that is not finite.
+    """
 
     assembly: Assembly
     changed: bool
+    anew: bool = False
+    failed: bool = False
 
 
 class Update(abc.ABC):
@@ -122,6 +135,67 @@ class MotionRefinement(Update):
         scene = task.summarise(motion, measurements, assembly.noise)
         assembly = replace(assembly, motion=motion, measured=measured, measurements=measurements, scene=scene)
         return Updated(replace(assembly, near=None, term=None), True)
+
+
+@dataclass(frozen=True)
+class CentreUpdate(Update):
+    """The prior, centred at the picture that a network makes of the solution (`Options.quality`,
+    `scsr_opt.pipeline.restoration`): Ψ(X − X̂) in the place of Ψ(X)."""
+
+    def rounds(self, assembly: Assembly) -> int:
+        return 1 if assembly.task.options.restores else 0
+
+    def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
+        began, method = time.perf_counter(), assembly.method
+        restoration = assembly.task.options.restoration(assembly.task.scale)
+        centre = jnp.asarray(restoration(solved_by(assembly, found)))
+        if not bool(jnp.isfinite(centre).all()):
+            return Updated(assembly, False, failed=True)
+        diagnostics = replace(
+            assembly.diagnostics,
+            strength=assembly.strength,
+            seconds={**assembly.diagnostics.seconds, "restoring": time.perf_counter() - began},
+        )
+        strength = on_device(np.float32(restoration.strength_ratio * assembly.strength))
+        method = replace(method, prior=Centred(method.prior, centre), strength=strength)
+        assembly = replace(assembly, method=method, near=centre, diagnostics=diagnostics)
+        return Updated(assembly, True, anew=True)
+
+
+class Finished(NamedTuple):
+    """The problem after all updates, its solve, and the stages of all solves, of which `first_iterations` were before
+    the last update."""
+
+    assembly: Assembly
+    found: Majorized
+    stages: tuple[Stage, ...]
+    first_iterations: int
+
+
+def solve_with_updates(assembly: Assembly, state: Any, updates: tuple[Update, ...]) -> Finished:
+    """Solves, and for each of the updates, in this order, applies it and solves again."""
+    found = assembly.solve(state)
+    stages, first = list(found.outcome.stages), 0
+    for update in updates:
+        for number in range(update.rounds(assembly)):
+            if not found.outcome.status.usable:
+                break
+            updated = update(assembly, found, number)
+            assembly = updated.assembly
+            if updated.failed:
+                found = found._replace(outcome=found.outcome._replace(status=Status.non_finite))
+            if not updated.changed:
+                break
+            first = len(stages)
+            found = assembly.solve(None if updated.anew else found.outcome.state)
+            stages += found.outcome.stages
+    numbered = tuple(replace(stage, number=number) for number, stage in enumerate(stages, 1))
+    return Finished(assembly, found, numbered, first)
+
+
+def solved_by(assembly: Assembly, found: Majorized) -> Solved:
+    """The solution of the problem, and what its data say of it."""
+    return solved(assembly.problem().data, found.outcome.image, assembly.method.strength)
 
 
 def _with_spread(assembly: Assembly, spread: float) -> Assembly:

@@ -10,19 +10,34 @@ import pytest
 
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.reference_problem import reference_problem, reference_task
-from learned.networks.restoration import RestorationConfig, RestorationNet, restoration_loss, restored
+from learned.networks.restoration import (
+    NetworkRestoration,
+    RestorationConfig,
+    RestorationNet,
+    restoration_loss,
+    restored,
+)
 from learned.training import checkpoint
 from learned.training.data import Example
 from learned.training.registry import trainable
-from learned.zoo import CentredOptimizer, model
-from scsr_opt import InputError, Status
+from learned.zoo import Optimizer, best, model
+from scsr_opt import InputError, Status, reconstruct
+from scsr_opt.operators import Huber
+from scsr_opt.pipeline.restoration import Solved
+from scsr_opt.priors import HuberTotalVariation
 
 SIZES = {"channels": 3, "blocks": 1}
+SEEING = {**SIZES, "levels": 2, "folding": 2, "sees_data": True}
 
 
 @functools.cache
-def net() -> RestorationNet:
-    return RestorationNet(RestorationConfig(2, **SIZES), key=jax.random.key(0))
+def net(**sizes) -> RestorationNet:
+    return RestorationNet(RestorationConfig(2, **(sizes or SIZES)), key=jax.random.key(0))
+
+
+def solved(image, strength=1e-3) -> Solved:
+    image = jnp.asarray(image, jnp.float32)
+    return Solved(image, 0.1 * image[::-1], 0.1 + image[:, ::-1] ** 2, jnp.float32(strength))
 
 
 def saved(path, network: RestorationNet):
@@ -32,11 +47,11 @@ def saved(path, network: RestorationNet):
 
 
 @pytest.fixture
-def silent(tmp_path) -> CentredOptimizer:
+def silent(tmp_path) -> Optimizer:
     """Its network changes nothing, so that the centre is the first solution."""
     still = eqx.tree_at(lambda n: (n.output.weight, n.output.bias), net(), replace_fn=jnp.zeros_like)
     found = model(saved(tmp_path / "still.scsr", still), 2)
-    assert isinstance(found, CentredOptimizer)
+    assert isinstance(found, Optimizer) and found.restoration is not None
     return found
 
 
@@ -44,10 +59,11 @@ def silent(tmp_path) -> CentredOptimizer:
 def test_any_size_of_picture(shape):
     """A picture whose size is no multiple of the folding is continued by its last row and column."""
     image = jnp.asarray(np.random.default_rng(0).random(shape), jnp.float32)
-    found = restored(net(), image, 1e-3)
+    found = restored(net(), solved(image))
     assert found.shape == shape
+    assert restored(net(**SEEING), solved(image)).shape == shape
     whole = jnp.pad(image - image.mean(), ((0, -shape[0] % 4), (0, -shape[1] % 4)), mode="edge")
-    expected = restored(net(), whole - whole.mean(), 1e-3) - (whole - whole.mean())
+    expected = restored(net(), solved(whole - whole.mean())) - (whole - whole.mean())
     if whole.shape == shape:
         np.testing.assert_allclose(found - image, expected, atol=1e-5)
     else:  # the mean of the larger picture is another one: what is seen differs by a constant
@@ -56,26 +72,32 @@ def test_any_size_of_picture(shape):
 
 @pytest.mark.parametrize("strength", [0.0, 1e-30, 1e3])
 def test_any_strength(strength):
-    assert np.isfinite(restored(net(), jnp.full((8, 8), 0.5), strength)).all()
+    assert np.isfinite(restored(net(), solved(jnp.full((8, 8), 0.5), strength))).all()
 
 
-@pytest.mark.parametrize("what", ["image", "strength"])
-def test_it_hears(what):
-    image = jnp.asarray(np.random.default_rng(0).random((8, 8)), jnp.float32)
-    change = restored(net(), image, 1e-3) - image
-    other = image[::-1] if what == "image" else image
-    again = restored(net(), other, 1e-3 if what == "image" else 1e-2) - other
-    assert np.abs(again - change).max() > 1e-5
+def test_pixels_that_no_sample_sees():
+    nothing = jnp.zeros((8, 8))
+    assert np.isfinite(restored(net(**SEEING), Solved(nothing, nothing, nothing, jnp.float32(0)))).all()
+
+
+@pytest.mark.parametrize("what", Solved._fields)
+def test_the_picture_depends_on_all_that_the_network_sees(what):
+    seen = solved(np.random.default_rng(0).random((8, 8)))
+    other = seen._replace(**{what: 10 * seen.strength if what == "strength" else getattr(seen, what)[::-1]})
+    changes = [restored(net(**SEEING), one) - one.image for one in (seen, other)]
+    assert np.abs(changes[0] - changes[1]).max() > 1e-5
 
 
 def test_it_does_not_see_how_bright_a_scene_is():
-    image = jnp.asarray(np.random.default_rng(0).random((8, 8)), jnp.float32)
-    np.testing.assert_allclose(restored(net(), image + 0.5, 1e-3), restored(net(), image, 1e-3) + 0.5, atol=1e-6)
+    seen = solved(np.random.default_rng(0).random((8, 8)))
+    brighter = seen._replace(image=seen.image + 0.5)
+    np.testing.assert_allclose(restored(net(), brighter), restored(net(), seen) + 0.5, atol=1e-6)
 
 
-def test_gradients_of_all_weights():
+@pytest.mark.parametrize("sizes", [SIZES, SEEING])
+def test_gradients_of_all_weights(sizes):
     image, truth = (jnp.asarray(np.random.default_rng(seed).random((8, 8)), jnp.float32) for seed in (0, 1))
-    slopes = eqx.filter_grad(lambda n: restoration_loss(n(image, 1e-3), truth, 1))(net())
+    slopes = eqx.filter_grad(lambda n: restoration_loss(n(solved(image)), truth, 1))(net(**sizes))
     for slope in jax.tree.leaves(slopes):
         assert np.isfinite(slope).all() and np.abs(slope).max() > 0
 
@@ -96,11 +118,12 @@ def test_examples_are_solutions(recording, silent):
     made = task.preparation.make(
         Example(spikes, np.zeros((40, 48), np.float32), np.float32(0.6), np.zeros((2, 20, 24)))
     )
-    first = model("ridge", 2)(recording, scale=2)
+    first = reconstruct(recording, scale=2)
     np.testing.assert_array_equal(made["image"], first.image)
     assert made["strength"] == np.float32(first.diagnostics.strength)
-    np.testing.assert_array_equal(task.picture(silent.net, jnp.asarray(spikes), jnp.float32(0.6)), first.image)
-    np.testing.assert_array_equal(task.preparation.picture(silent.net, made), first.image)
+    still = silent.restoration.net
+    np.testing.assert_array_equal(task.picture(still, jnp.asarray(spikes), jnp.float32(0.6)), first.image)
+    np.testing.assert_array_equal(task.preparation.picture(still, made), first.image)
     assert np.isfinite(task.loss(net(), jax.tree.map(jnp.asarray, made)))
     dark = task.preparation.make(Example(np.zeros_like(spikes), made["truth"], np.float32(0.6), np.zeros((2, 20, 24))))
     assert np.isfinite(task.loss(net(), jax.tree.map(jnp.asarray, dark)))
@@ -128,9 +151,8 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     count = found.diagnostics.first_iterations
     assert count == first.diagnostics.iterations and found.diagnostics.iterations == len(found.stages) > count
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
-    assert {"first solve", "restoring"} <= set(found.diagnostics.seconds)
-    λ = first.diagnostics.strength
-    assert λ is not None and found.diagnostics.strength == pytest.approx(2 * λ)
+    assert {"solving", "restoring"} <= set(found.diagnostics.seconds)
+    assert found.diagnostics.strength == first.diagnostics.strength
     # The objective falls but for rounding: f is the small difference of two sums over n pixels as large as ½ e, each a
     # walk of n roundings with a standard deviation of √n/6 last digits, three of which are allowed.
     # It begins with the data term at the first solution.
@@ -147,11 +169,13 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
 def test_what_the_network_says_comes_through(recording, silent, tmp_path):
     """Bars as wide as a sensor pixel, which the data contradict, stay in part: network and data both count."""
     louder = eqx.tree_at(
-        lambda n: n.output.bias, silent.net, 0.4 * jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), 4)[:, None, None]
+        lambda n: n.output.bias,
+        silent.restoration.net,
+        0.4 * jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), 4)[:, None, None],
     )
     other = model(saved(tmp_path / "louder.scsr", louder), 2)
     before, after = silent(recording, scale=2).image, other(recording, scale=2).image
-    along = np.asarray(restored(louder, jnp.asarray(before), 1e-3)) - before
+    along = np.asarray(restored(louder, solved(before))) - before
     share = float(np.sum((after - before) * along) / np.sum(along**2))
     assert 0.02 < share < 0.9
 
@@ -178,7 +202,7 @@ def test_nothing_seen(silent):
 
 
 def test_a_network_that_fails_is_said(recording, silent, tmp_path):
-    wrong = eqx.tree_at(lambda n: n.output.bias, silent.net, replace_fn=lambda b: b + jnp.nan)
+    wrong = eqx.tree_at(lambda n: n.output.bias, silent.restoration.net, replace_fn=lambda b: b + jnp.nan)
     found = model(saved(tmp_path / "wrong.scsr", wrong), 2)(recording, scale=2)
     assert found.status is Status.non_finite and np.isfinite(found.image).all()
 
@@ -194,3 +218,37 @@ def test_what_is_refused(recording, silent):
         InputError, match="network.depth is not known: allowed are blocks, channels, contrast, folding, "
     ):
         trainable("restoration", 2, {"depth": 3})
+
+
+def test_quality_takes_a_restoration_of_ones_own(recording):
+    """Any prior may be centred; the picture of "best" is that of the shipped network."""
+
+    class Lighter:
+        strength_ratio = 1.0
+
+        def __call__(self, solved):
+            return solved.image + 0.25
+
+    usual = reconstruct(recording, scale=2, prior=HuberTotalVariation())
+    lighter = reconstruct(recording, scale=2, prior=HuberTotalVariation(), quality=Lighter())
+    # A constant costs nothing by the prior: the data alone decide it.
+    assert lighter.status is Status.converged
+    assert abs(float(np.mean(lighter.image - usual.image))) < 0.01
+    found = reconstruct(recording, scale=4, quality="best")
+    same = reconstruct(recording, scale=4, quality=best(4))
+    np.testing.assert_array_equal(found.image, same.image)
+    assert found.diagnostics.first_iterations and isinstance(best(4), NetworkRestoration)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"quality": "good"}, "quality is 'good'; it must be 'fast', 'best' or a Restoration"),
+        ({"quality": "best", "robust": Huber()}, "quality is 'best' and robust is Huber"),
+        ({"quality": "best", "prior": HuberTotalVariation()}, "quality is 'best' and the prior is HuberTotalVariation"),
+        ({"quality": "best", "scale": 5}, "quality is 'best' and the scale is 5, but there are networks for "),
+    ],
+)
+def test_quality_that_cannot_be(recording, options, message):
+    with pytest.raises(InputError, match=message):
+        reconstruct(recording, **{"scale": 4, **options})

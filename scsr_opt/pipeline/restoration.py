@@ -1,0 +1,81 @@
+"""What a network that restores a solution of Eq. 4 sees of it (`quality="best"`).
+
+The network's picture X̂ is not the result: Eq. 4 is solved once more with the prior centred there (`Centred`), a
+convex problem whatever X̂ is (`scsr_opt.pipeline.updates.CentreUpdate`). Networks come from other packages, by the
+entry points of the group "scsr.restorations", so that this package needs none of them.
+"""
+
+from importlib.metadata import entry_points
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from scsr_opt._kernels.device import on_device
+from scsr_opt.errors import InputError
+from scsr_opt.operators.data_term import DataTerm
+
+GROUP = "scsr.restorations"
+"""Group of entry points: each loads a function of the scale that returns a `Restoration`, or raises `InputError`."""
+
+# Pixels with less weight than this share of the largest are hardly seen: what the data ask of them is noise.
+_LEAST_WEIGHT = 1e-3
+
+
+class Solved(NamedTuple):
+    """A solution of Eq. 4 and what the data say of it.
+
+    **Fields:**
+    - `image`: X, (H, W), intensity.
+    - `change`: −∇f(X) / (BᵀMB 1), (H, W), intensity: what the data alone would change, which the prior holds back. It
+      holds the details that the prior took for noise, and the noise.
+    - `weight`: BᵀMB 1, (H, W): how much the samples say of each pixel. M is scaled so that a sensor pixel at rest that
+      was seen in all frames has 1/s² in each of its pixels (`Problem`).
+    - `strength`: λ, ().
+    """
+
+    image: Float[Array, "H W"]
+    change: Float[Array, "H W"]
+    weight: Float[Array, "H W"]
+    strength: Float[Array | np.ndarray, ""]
+
+
+@runtime_checkable
+class Restoration(Protocol):
+    """A picture X̂ from a solution.
+
+    **Fields:** `strength_ratio`: λ of the solve about X̂ over that of the solution.
+    """
+
+    strength_ratio: float
+
+    def __call__(self, solved: Solved) -> Float[Array, "H W"]:
+        """X̂, (H, W), intensity."""
+        ...
+
+
+def restoration_of(scale: int) -> Restoration:
+    """The restoration of `quality="best"` for a scale.
+
+    **Raises:** `InputError` if none is installed, or it does not know this scale.
+    """
+    for entry in entry_points(group=GROUP, name="best"):
+        return entry.load()(scale)
+    raise InputError(
+        "quality is 'best', but no package that restores pictures is installed; install scsr-opt anew, or take 'fast'."
+    )
+
+
+def solved(term: DataTerm, image: Float[np.ndarray, "H W"], strength: Float[Array, ""]) -> Solved:
+    """What the data f = `term` say of its solution `image`."""
+    picture = on_device(image)
+    return Solved(picture, *_change_and_weight(term, picture), strength)
+
+
+@eqx.filter_jit
+def _change_and_weight(term: DataTerm, image: Float[Array, "H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+    weight = term.normal(jnp.ones_like(image))
+    least = _LEAST_WEIGHT * jnp.max(weight) + jnp.finfo(image.dtype).tiny
+    return -term.gradient(image) / jnp.maximum(weight, least), weight

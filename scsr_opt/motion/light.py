@@ -33,17 +33,6 @@ Spikes = Shaped[np.ndarray, "T h w"]
 Courses = Float[np.ndarray, "tiles n"]
 
 
-class FoundLight(NamedTuple):
-    """The light of a clip.
-
-    **Fields:** `light`, None where it does not change; `unexplained`: share of the tiles whose brightness changes as
-    their neighbours' does, though neither motion nor `light` say so.
-    """
-
-    light: Light | None
-    unexplained: float
-
-
 class _Tiles(NamedTuple):
     """Squares of a sensor, `side` pixels a side: `top` and `left` (tiles,), in rows of `across`."""
 
@@ -75,6 +64,18 @@ class _Tiles(NamedTuple):
         return cls(top, left, side, (begins[0].size, begins[1].size))
 
 
+class FoundLight(NamedTuple):
+    """The light of a clip.
+
+    **Fields:** `light`, None where it does not change; `suspected`: of the `tiles` (None where none were looked at),
+    those whose brightness changes beyond `light` as their neighbours' does, by what one velocity for each tile explains.
+    """
+
+    light: Light | None
+    tiles: _Tiles | None = None
+    suspected: Bool[np.ndarray, " tiles"] = np.zeros(0, bool)
+
+
 def find_light(
     spikes: Spikes,
     *,
@@ -96,13 +97,13 @@ def find_light(
     limits = settings.light
     frames, height, width = spikes.shape
     if frames < limits.least_frames or min(height, width) < limits.least_side_px:
-        return FoundLight(None, 0.0)
+        return FoundLight(None)
     good = np.ones((height, width), bool) if bad_pixels is None else ~bad_pixels
     tiles = _Tiles.of((height, width), limits.tile_px)
     some = tiles.some(limits.most_tiles)
     edges = _edges(spikes, some, limits)
     if edges.size < limits.least_pictures + 1:
-        return FoundLight(None, 0.0)
+        return FoundLight(None)
     courses = _courses(spikes, edges, some, good, None, limits)
     changing = _agreeing(courses, some, limits)
     found = _flickers(courses, changing, limits)
@@ -115,10 +116,34 @@ def find_light(
             long = _courses(*longer.pictures, some, good, None, limits)
             found = _flickers(long, _agreeing(long, some, limits), limits)
     if not found:
-        return FoundLight(None, float(changing.mean()))
+        return FoundLight(None, some, changing)
     light = _light_of(longer, frames, tiles, some, good, limits)
     left = _agreeing(_courses(spikes, edges, some, good, light, limits), some, limits)
-    return FoundLight(light, float(left.mean()))
+    return FoundLight(light, some, left)
+
+
+def unexplained_share(
+    found: FoundLight, pictures: MotionFrames, motion: Motion, settings: MotionSettings = DEFAULTS
+) -> float:
+    """Share of the tiles whose brightness changes as their neighbours' does, though neither motion nor light explain
+    it: along the motion of each pixel, too, which a tile's one velocity is not.
+
+    **Arguments:** `found`, by `find_light`; `pictures` over its light; `motion`, found by them.
+    """
+    if found.tiles is None or not found.suspected.any():
+        return 0.0
+    taken, after = np.asarray(pictures.picture), np.asarray(pictures.after)
+    time = after[:, None, None, None]
+    path = np.indices(motion.speed.shape) + motion.velocity * time + motion.acceleration * time**2 / 2
+    last = np.array(motion.speed.shape)[:, None, None] - 1
+    inside = ((path >= 0) & (path <= last)).all(1)
+    seen = np.stack([map_coordinates(each, at, order=1) for each, at in zip(taken, path, strict=True)]) * inside
+    usual = seen.sum(0) / np.maximum(inside.sum(0), 1)
+    total, expected = (found.tiles.cut(of).sum((-2, -1)) for of in (seen, usual * inside))
+    enough = found.tiles.cut(inside).mean((-2, -1)) >= settings.light.tracked_share
+    courses = np.where(enough, total / np.maximum(expected, np.finfo(np.float32).tiny), 1).T
+    limits = dataclasses.replace(settings.light, agreement=settings.light.tracked_agreement)
+    return float((_agreeing(courses, found.tiles, limits) & found.suspected).mean())
 
 
 class _Stretch(NamedTuple):

@@ -426,6 +426,11 @@ class LightSettings(Settings):
     suspicious_ratio: float = 0.4
     """Share of the limits of tiles, change and deviations from which on more frames than the clip's decide, where there
     are more."""
+    tracked_share: float = 0.5
+    """Share of a tile's pixels whose motion must not have left the sensor for a picture to tell the tile's light."""
+    tracked_agreement: float = 1.2
+    """`agreement`, where brightness is followed along the motion: 1.1 to 4 in a shadow, below 1.1 in all of 30 steady
+    scenes but for a tile with an object."""
     most_variance_ratio: float = 1.02
     """Variance along the motion that is found with the light, at most, over that along the motion found without: 0.05
     to 0.99 of thirty scenes at 10 % of flicker, 1.05 to 1.16 of four of 110 steady pans that were taken for it."""

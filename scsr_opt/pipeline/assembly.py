@@ -130,6 +130,7 @@ def assemble_task(task: Task) -> Assembly:
             task = task.without(task.find_resting(frames, motion))
             clip = task.clip
         noise, image, path = noise_task.result(), image_task.result(), path_task.result()
+        unexplained = task.light_unexplained(motion, frames)
     del frames  # hundreds of megabytes where the sensor is large
     lap("motion")
 
@@ -184,7 +185,7 @@ def assemble_task(task: Task) -> Assembly:
             bad_pixels=None if task.bad is None else task.bad.numbers,
             light_depth=None if clip.light is None else clip.light.depth,
             light_frequency=_hertz(task),
-            light_unexplained=task.light_unexplained,
+            light_unexplained=unexplained,
             seconds=seconds,
         ),
     )

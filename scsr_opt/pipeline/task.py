@@ -19,7 +19,7 @@ from scsr_opt.camera.white import White, find_white
 from scsr_opt.motion.estimators.automatic import Automatic, corrected_frames, motion_in
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
-from scsr_opt.motion.light import FoundLight, along_motion, find_light
+from scsr_opt.motion.light import FoundLight, along_motion, find_light, unexplained_share
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.pipeline.clip import Clip
@@ -37,7 +37,7 @@ class Task:
 
     **Fields:** `recording`; `scale` s; `options`, validated for both; `clip`, the frames around the key frame, which
     took `reading_seconds` to read; `bad`, all pixels that are not used, None if nothing is known of any;
-    `light_unexplained`, share of the sensor whose brightness changes for no reason that was found (`FoundLight`).
+    `found_light`, the light of the clip and where more changes than that (`FoundLight`).
     """
 
     recording: Recording
@@ -46,7 +46,7 @@ class Task:
     clip: Clip
     reading_seconds: float = 0.0
     bad: BadPixels | None = None
-    light_unexplained: float = 0.0
+    found_light: FoundLight = FoundLight(None)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -81,6 +81,14 @@ class Task:
         assert self.clip.light is not None
         light = along_motion(self.clip.light, frames, motion, self.clip.key, self.options.settings.motion)
         return replace(self, clip=self.clip._replace(light=light))
+
+    def light_unexplained(self, motion: Motion, frames: MotionFrames | None) -> float:
+        """Share of the sensor whose brightness changes for no reason that was found (`unexplained_share`)."""
+        if not self.found_light.suspected.any():
+            return 0.0
+        frames = self.motion_frames(self.options.known_gain) if frames is None else frames
+        settings = self.options.settings.motion
+        return 0.0 if frames is None else unexplained_share(self.found_light, frames, motion, settings)
 
     def at_wanted_light(self) -> "Task":
         """This task with its light relative to that at which the picture is to show the scene (`Options.light`)."""
@@ -253,7 +261,7 @@ def task_of(spikes: ArrayLike | Recording, scale: SupportsIndex, key: SupportsIn
         task = replace(task.without(task.find_isolated()), options=options)
     if options.light != "constant":
         light = _light_of(task.clip, part, options)
-        task = replace(task, clip=task.clip._replace(light=light.light), light_unexplained=light.unexplained)
+        task = replace(task, clip=task.clip._replace(light=light.light), found_light=light)
     return replace(task, reading_seconds=time.perf_counter() - began)
 
 

@@ -13,6 +13,7 @@ This module does not import JAX: every process that makes examples (`learned.tra
 import functools
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
+from learned.training.drawings import drawing
 from scsr_opt.camera.pictures import Picture, as_intensity
 from scsr_opt.camera.scenes import Ellipse, MovingObject, Scene, Static, SteadyMotion, TurningDisc
 from scsr_opt.camera.simulator import Sensor, simulate
@@ -38,6 +40,9 @@ TRAINING_SAMPLES = (
 """Pictures of `skimage.data` that come with scikit-image, without a download: those to train on."""
 HELD_OUT_SAMPLES = ("camera", "chelsea")
 """Those that are kept for validation."""
+
+Cut = Callable[[np.random.Generator, int], Float[np.ndarray, "side side"]]
+"""A square picture of this many pixels a side, drawn by chance."""
 
 _ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"}
 
@@ -110,6 +115,7 @@ class Examples:
     - `scenes`, `lights`: kinds to draw from (`SCENES`, `LIGHTS`); one that is named twice comes twice as often.
     - `pictures`: what to look at.
     - `readouts`: spike frames from one frame of a video to the next.
+    - `drawings`: every n-th example looks at drawings (`learned.training.drawings`) in the place of stills; 0: none.
     - `varied`: draw light, photons and turns from ranges. If not, every light is that of its name with one set of
       numbers, and nothing is turned or flipped: for validation.
 
@@ -127,6 +133,7 @@ class Examples:
     pictures: Pictures = Pictures.samples()  # noqa: RUF009 (frozen)
     varied: bool = True
     readouts: int = 16
+    drawings: int = 0
 
     def __getitem__(self, number: int) -> Example:
         """Example `number`, from 0.
@@ -134,7 +141,8 @@ class Examples:
         **Raises:** `InputError` if a picture that it is made of cannot be read.
         """
         rng = np.random.default_rng([self.seed, number])
-        scene = self._scene(self.scenes[rng.integers(len(self.scenes))], rng)
+        drawn = self.drawings and number % self.drawings == self.drawings - 1
+        scene = self._scene(self.scenes[rng.integers(len(self.scenes))], rng, drawing if drawn else self._cut)
         sensor = _sensor(self.lights[rng.integers(len(self.lights))], rng if self.varied else None)
         recorded = simulate(scene, scale=self.scale, frames=self.frames, sensor=sensor, seed=int(rng.integers(2**32)))
         spikes, truth = recorded.spikes, recorded.truth(float(self.frames // 2)).astype(np.float32)
@@ -145,7 +153,7 @@ class Examples:
             velocity = turned_field(velocity, turns, flipped)
         return Example(spikes, truth, np.float32(recorded.white_rate), velocity)
 
-    def _scene(self, kind: str, rng: np.random.Generator) -> Scene:
+    def _scene(self, kind: str, rng: np.random.Generator, cut: Cut) -> Scene:
         side, key = self.patch * self.scale, float(self.frames // 2)
         angle, speed = rng.uniform(0, 2 * np.pi), rng.uniform(0.05, 0.3) * self.scale
         drift = (speed * math.sin(angle), speed * math.cos(angle))
@@ -154,22 +162,22 @@ class Examples:
         turn = math.copysign(rng.uniform(0.0034, 0.0085), rng.uniform(-1, 1))
         match kind:
             case "static":
-                return Static(self._cut(rng, side), key=key)
+                return Static(cut(rng, side), key=key)
             case "translation":
-                return self._moving(rng, SteadyMotion(drift))
+                return self._moving(rng, cut, SteadyMotion(drift))
             case "affine":
                 spin, zoom = rng.uniform(-0.0015, 0.0015), rng.uniform(-0.001, 0.001)
                 gradient = np.array([[zoom, spin], [-spin, zoom]])
-                return self._moving(rng, SteadyMotion((0.2 * drift[0], 0.2 * drift[1]), gradient))
+                return self._moving(rng, cut, SteadyMotion((0.2 * drift[0], 0.2 * drift[1]), gradient))
             case "object":
-                behind, front = self._cut(rng, side), self._cut(rng, math.ceil(2.6 * radius) + 4)
+                behind, front = cut(rng, side), cut(rng, math.ceil(2.6 * radius) + 4)
                 shape = Ellipse(radius, 1.3 * radius)
                 return MovingObject(behind, front, drift, shape=shape, position=place, key=key)
             case "disc":
-                behind, front = self._cut(rng, side), self._cut(rng, math.ceil(2.6 * radius) + 4)
+                behind, front = cut(rng, side), cut(rng, math.ceil(2.6 * radius) + 4)
                 return TurningDisc(behind, front, turn, radius=1.3 * radius, centre=place, key=key)
             case "video":
-                return self._video(rng)
+                return self._video(rng, cut)
         raise InputError(f"There is no kind of scene {kind!r}: choose from {', '.join(SCENES)}.")
 
     def _cut(self, rng: np.random.Generator, side: int) -> Float[np.ndarray, "side side"]:
@@ -183,14 +191,14 @@ class Examples:
         top, left = (int(rng.integers(n - side + 1)) for n in picture.shape)
         return picture[top : top + side, left : left + side]
 
-    def _moving(self, rng: np.random.Generator, motion: SteadyMotion) -> Scene:
+    def _moving(self, rng: np.random.Generator, cut: Cut, motion: SteadyMotion) -> Scene:
         """A still that is larger than what the sensor sees of it, so that its edges stay out of sight."""
         side, half = self.patch * self.scale, self.frames // 2 + 1
         growth = 0.0 if motion.gradient is None else float(np.linalg.norm(motion.gradient))
         margin = math.ceil(half * (math.hypot(*motion.drift) + growth * side)) + 2
-        return _Window(Picture(self._cut(rng, side + 2 * margin)), motion, side, margin, float(self.frames // 2))
+        return _Window(Picture(cut(rng, side + 2 * margin)), motion, side, margin, float(self.frames // 2))
 
-    def _video(self, rng: np.random.Generator) -> Scene:
+    def _video(self, rng: np.random.Generator, cut: Cut) -> Scene:
         key = self.frames // 2
         before, after = math.ceil(key / self.readouts), math.ceil((self.frames - 1 - key) / self.readouts)
         if not self.pictures.clips:
@@ -198,7 +206,7 @@ class Examples:
             drift, shake = rng.uniform(-1, 1, 2), rng.uniform(-0.4, 0.4, (before + after + 1, 2))
             path = np.arange(-before, after + 1)[:, None] * drift + shake
             side, margin = self.patch * self.scale, math.ceil(np.abs(path).max()) + 2
-            still, inner = Picture(self._cut(rng, side + 2 * margin)), np.arange(side) + float(margin)
+            still, inner = Picture(cut(rng, side + 2 * margin)), np.arange(side) + float(margin)
             frames = [still.grid(inner - down, inner - right) for down, right in path]
             video = Video(frames, readouts_per_frame=self.readouts)
             return _Later(video, float(before * self.readouts - key), float(key))

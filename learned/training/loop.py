@@ -197,7 +197,16 @@ def learning_rate(config: TrainingConfig) -> Callable[[Any], Any]:
 
 def _examples(config: TrainingConfig) -> Examples:
     pictures = Pictures.samples() if config.pictures is None else Pictures.folder(config.pictures)
-    return Examples(config.scale, config.frames, config.patch, config.seed, config.scenes, config.lights, pictures)
+    return Examples(
+        config.scale,
+        config.frames,
+        config.patch,
+        config.seed,
+        config.scenes,
+        config.lights,
+        pictures,
+        drawings=config.drawings,
+    )
 
 
 def _feed(
@@ -213,7 +222,7 @@ def _feed(
             f"The network {config.model!r} learns from examples that are prepared before the first step, but the "
             f"configuration does not say how many: add an entry prepared, for example prepared = 800."
         )
-    fields = ("scale", "frames", "patch", "scenes", "lights", "pictures", "seed", "prepared")
+    fields = ("scale", "frames", "patch", "scenes", "lights", "pictures", "seed", "prepared", "drawings")
     made_of = {"model": config.model, "network": dict(task.preparation.made_of)}
     made_of |= {name: value for name, value in config.plain().items() if name in fields}
     preparing = Preparing(examples, config.model, config.scale, config.network)

@@ -68,7 +68,7 @@ class FoundLight(NamedTuple):
     """The light of a clip.
 
     **Fields:** `light`, None where it does not change; `suspected`: of the `tiles` (None where none were looked at),
-    those whose brightness changes beyond `light` as their neighbours' does, by what one velocity for each tile explains.
+    those whose brightness changes beyond `light` as their neighbours' does, as far as one velocity for each tile tells.
     """
 
     light: Light | None

@@ -123,7 +123,7 @@ class RestorationNet(eqx.Module):
         (rows, columns), factor = image.shape, config.folding
         pictures = [(image - jnp.mean(image)) / config.contrast]
         if config.sees_data:
-            weight = jnp.maximum(solved.weight * config.scale**2, config.least_strength)
+            weight = jnp.maximum(solved.weight, config.least_strength)
             pictures += [solved.change / config.usual_change, jnp.log(weight)]
         unit = factor * 2 ** (config.levels - 1)
         whole = jnp.pad(jnp.stack(pictures), ((0, 0), (0, -rows % unit), (0, -columns % unit)), mode="edge")

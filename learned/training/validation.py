@@ -117,7 +117,7 @@ def draw_curves(path: Path, losses: Float[np.ndarray, " n"], validated: Sequence
     middles = [(n + (width + 1) / 2, losses[n : n + width]) for n in range(0, losses.size, width)]
     seen = [(n, float(np.median(part[np.isfinite(part)]))) for n, part in middles if np.isfinite(part).any()]
     left.plot(*_columns(seen), color="#222222", linewidth=1.2)
-    if seen:
+    if seen and min(loss for _, loss in seen) > 0:  # the logarithm of an error is a loss, too
         left.set_yscale("log")
     left.set(xlabel="step", ylabel="loss")
     right.axhline(base, color="#777777", linewidth=0.8, linestyle="--", label="playback, bicubic")

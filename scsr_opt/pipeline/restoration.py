@@ -31,8 +31,7 @@ class Solved(NamedTuple):
     - `image`: X, (H, W), intensity.
     - `change`: −∇f(X) / (BᵀMB 1), (H, W), intensity: what the data alone would change, which the prior holds back. It
       holds the details that the prior took for noise, and the noise.
-    - `weight`: BᵀMB 1, (H, W): how much the samples say of each pixel. M is scaled so that a sensor pixel at rest that
-      was seen in all frames has 1/s² in each of its pixels (`Problem`).
+    - `weight`: s² BᵀMB 1, (H, W): how much the samples say of each pixel, 1 where it was seen all the time.
     - `strength`: λ, ().
     """
 
@@ -78,4 +77,5 @@ def solved(term: DataTerm, image: Float[np.ndarray, "H W"], strength: Float[Arra
 def _change_and_weight(term: DataTerm, image: Float[Array, "H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
     weight = term.normal(jnp.ones_like(image))
     least = _LEAST_WEIGHT * jnp.max(weight) + jnp.finfo(image.dtype).tiny
-    return -term.gradient(image) / jnp.maximum(weight, least), weight
+    # M is scaled so that a sensor pixel at rest has a weight of 1 in all, 1/s² in each of its pixels (`Problem`).
+    return -term.gradient(image) / jnp.maximum(weight, least), term.aperture.scale**2 * weight

@@ -342,3 +342,9 @@ def test_what_cannot_be_trained(tmp_path):
     with pytest.raises(InputError, match="state is not the state of a run"):
         train(CONFIG, tmp_path)
     assert os.listdir(tmp_path / "samples") == []
+
+
+def test_curves_of_losses_below_zero(tmp_path):
+    """The logarithm of an error is a loss, too, and has no logarithm."""
+    validation.draw_curves(tmp_path / "curves.png", np.linspace(1, -3, 40).astype(np.float32), [], 25.0)
+    assert (tmp_path / "curves.png").stat().st_size > 0

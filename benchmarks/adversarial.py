@@ -4,8 +4,8 @@
 
 Recordings of noise, text, checkerboards, gratings, flat, saturated and dark scenes, with rows of dead pixels, and with
 a wrong white rate; at rest and moving. A row gives, for a kind of recording, by how much "best" is better than "fast"
-(PSNR against the true picture, dB: the least and the mean), and the misfit of its samples, f(X), over that of "fast":
-what the samples contradict would raise it above 1.
+(PSNR against the true picture, dB: the least and the mean), and the misfit of its samples, f(X), over that of the
+solution that the network restored: what the samples contradict would raise it above 1.
 """
 
 import argparse
@@ -33,7 +33,8 @@ class Case(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """`gain`: PSNR of "best" less that of "fast", dB, NaN without a truth; `misfit`: f(X) of "best" over "fast"."""
+    """`gain`: PSNR of "best" less that of "fast", dB, NaN without a truth; `misfit`: f(X) of the picture over that of
+    the solution that the network restored."""
 
     kind: str
     gain: float
@@ -104,8 +105,7 @@ def compared(one: Case, scale: int) -> Finding:
     fast = reconstruct(one.recording, scale=scale)
     best = reconstruct(one.recording, scale=scale, quality="best")
     gain = float("nan") if one.truth is None else _psnr(best, one.truth) - _psnr(fast, one.truth)
-    before, after = (found.stages[-1].data if found.stages else 0.0 for found in (fast, best))
-    return Finding(one.kind, gain, after / before if before > 0 else 1.0)
+    return Finding(one.kind, gain, 1.0 if best.diagnostics.misfit_ratio is None else best.diagnostics.misfit_ratio)
 
 
 def _psnr(found: Solution, truth: Float[np.ndarray, "H W"]) -> float:

@@ -112,14 +112,15 @@ def solve(
         )
     began = time.perf_counter()
     assembly = replace(assembly, method=replace(assembly.method, progress=progress))
-    assembly, found, stages, first_iterations = solve_with_updates(assembly, state, UPDATES)
+    assembly, found, stages, first = solve_with_updates(assembly, state, UPDATES)
     used = assembly.measurements.used_frames(assembly.task.clip.key)
     outcome, placed, clip = found.outcome, assembly.measurements.placed, assembly.task.clip
     known = assembly.diagnostics
     diagnostics: Diagnostics = replace(
         known,
         iterations=len(stages),
-        first_iterations=first_iterations if assembly.task.options.restores else None,
+        first_iterations=first or None,
+        misfit_ratio=stages[-1].data / max(stages[first - 1].data, np.finfo(np.float32).tiny) if first else None,
         solver=type(assembly.method.solver).__name__,
         samples=int(np.count_nonzero(placed.weight)),
         positions=placed.finest,

@@ -45,7 +45,8 @@ class Diagnostics:
     - `optics_sigma`: of the lens that was estimated, sensor pixels.
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
     - `first_iterations`: of `iterations`, those before Eq. 4 was solved again about a restored picture
-      (`Options.quality`); `strength` is the λ of these.
+      (`Options.quality`); `strength` is the λ of these. `misfit_ratio`: f(X) of the picture over that of the solution
+      that was restored: what the samples contradict would raise it above 1.
     - `seconds`: by part of the work.
     """
 
@@ -67,6 +68,7 @@ class Diagnostics:
     optics_sigma: float | None = None
     motion_carried: bool | None = None
     first_iterations: int | None = None
+    misfit_ratio: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
 

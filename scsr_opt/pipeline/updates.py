@@ -164,7 +164,7 @@ class CentreUpdate(Update):
 
 class Finished(NamedTuple):
     """The problem after all updates, its solve, and the stages of all solves, of which `first_iterations` were before
-    the last update."""
+    the prior was centred at a restored picture; 0 where it was not."""
 
     assembly: Assembly
     found: Majorized
@@ -186,7 +186,7 @@ def solve_with_updates(assembly: Assembly, state: Any, updates: tuple[Update, ..
                 found = found._replace(outcome=found.outcome._replace(status=Status.non_finite))
             if not updated.changed:
                 break
-            first = len(stages)
+            first = len(stages) if isinstance(update, CentreUpdate) else 0
             found = assembly.solve(None if updated.anew else found.outcome.state)
             stages += found.outcome.stages
     numbered = tuple(replace(stage, number=number) for number, stage in enumerate(stages, 1))

@@ -142,6 +142,11 @@ class Report:
             least, usual, most = self.diagnostics["used_frames"]
             parts = "" if most - least < 1 else f"; {least:.0f} to {most:.0f} in nine tenths of the pixels"
             lines.append(f"Time: up to {usual:.0f} frames before and after the key frame are used{parts}.")
+        if self.diagnostics["misfit_ratio"] is not None:
+            lines.append(
+                f"Quality: best. A network restored the picture, which was solved for again about that; its misfit to "
+                f"the measurements is {self.diagnostics['misfit_ratio']:.3g} times that before."
+            )
         iterations = self.diagnostics["iterations"]
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
         lines.append(f"{iterations} iterations{took}. {self.status['message']}")

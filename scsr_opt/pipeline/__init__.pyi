@@ -1,3 +1,4 @@
+from .restoration import Restoration, Solved
 from .settings import (
     BadPixelSettings,
     GainSettings,
@@ -22,9 +23,11 @@ __all__ = [
     "OuterLoopSettings",
     "PipelineSettings",
     "RefinementSettings",
+    "Restoration",
     "SamplingSettings",
     "SceneSummarySettings",
     "SequenceSettings",
+    "Solved",
     "StrengthSettings",
     "TileSettings",
     "WhiteSettings",

@@ -62,6 +62,10 @@ CALLS = {
         for value in ("'8'", "8.5", "[8]", "MANY", "1j")
     },
     **{
+        f"reconstruct(SPIKES, scale=2, quality={value})": "quality is .*; it must be 'fast', 'best' or a Restoration"
+        for value in ("'good'", "None", "5", "MANY", "['best']", "reconstruct")
+    },
+    **{
         call.format(value): ""
         for value in ("10**400", "10**5000")
         for call in (

@@ -27,11 +27,9 @@ from scsr_opt.pipeline.scene_summary import SceneSummary
 from scsr_opt.pipeline.solution import Diagnostics
 from scsr_opt.pipeline.strength import in_parts, noise_of_mean, strength_of_noise
 from scsr_opt.pipeline.task import Task
-from scsr_opt.solvers.default import default_solver
+from scsr_opt.solvers.default import default_solver, general_solver
 from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
-from scsr_opt.solvers.proximal_gradient import FISTA
-from scsr_opt.solvers.quasi_newton import LBFGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +144,7 @@ def assemble_task(task: Task) -> Assembly:
         λ = strength_of_noise(noise, task.scale, prior, settings.strength)
     method = MajorizeMinimize(
         # The default solver of the problem is chosen below, when its strength is known.
-        solver=options.solver or (FISTA() if prior.has_prox else LBFGS()),
+        solver=options.solver or general_solver(prior),
         prior=prior,
         strength=on_device(np.float32(float(λ))),
         optics=options.lens,

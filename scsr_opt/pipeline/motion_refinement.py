@@ -19,7 +19,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from scsr_opt.camera.samples import Samples
@@ -183,6 +182,8 @@ def _least_squares(
                 seen = pixel - displacement(seen, now, τ)
             total = total + bilinear(picture[None], *jnp.clip(seen * scale, 0, border))[0]
         return root * (total / positions - value)
+
+    import optimistix as optx  # takes 0.2 s, and most reconstructions refine nothing
 
     solver = optx.LevenbergMarquardt(rtol=settings.least_step_px, atol=settings.least_step_px)
     solution = optx.least_squares(residuals, solver, begin, max_steps=settings.steps, throw=False)

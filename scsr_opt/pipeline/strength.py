@@ -40,7 +40,6 @@ from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.loop import run
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.proximal_gradient import FISTA
-from scsr_opt.solvers.quasi_newton import Smooth
 from scsr_opt.solvers.solver import Solver
 
 
@@ -210,7 +209,7 @@ class StrengthSearch:
         if not parts:
             return ValidatedStrength(least)
         # A prior that is used by its gradient need not have a proximal step.
-        kind = self.solver if isinstance(self.solver, Smooth) else FISTA()
+        kind = FISTA() if self.solver.uses_prox else self.solver
         solver = dataclasses.replace(kind, iterations=settings.iterations, tolerance=settings.tolerance)
         ridge = isinstance(self.prior, RidgeRegulariser)
         stand_in = HuberTotalVariation() if ridge else self.prior

@@ -6,62 +6,10 @@
 are for smooth priors. `JaxoptISTA` and `JaxoptFISTA` do the same by an independent implementation, and `JaxoptADMM`
 solves the linear systems of `ADMM` by one.
 `implicit_minimiser` is the minimiser as a function that can be differentiated.
+
+Names are imported when they are first used.
 """
 
-from scsr_opt.solvers.admm import ADMM, JaxoptADMM
-from scsr_opt.solvers.data_proximal import DataProximal
-from scsr_opt.solvers.default import default_solver
-from scsr_opt.solvers.implicit import implicit_minimiser
-from scsr_opt.solvers.jaxopt_gradient import JaxoptFISTA, JaxoptISTA
-from scsr_opt.solvers.linear_solve import ConjugateGradients, JaxoptConjugateGradients, LinearSolve
-from scsr_opt.solvers.loop import Outcome, run
-from scsr_opt.solvers.primal_dual import ChambollePock, CondatVu
-from scsr_opt.solvers.problem import Problem, lipschitz_bound, with_bound
-from scsr_opt.solvers.proximal_gradient import FISTA, ISTA
-from scsr_opt.solvers.quasi_newton import LBFGS, NonlinearCG
-from scsr_opt.solvers.record import Stage, Status, TileIterations
-from scsr_opt.solvers.solver import Record, Solver
-from scsr_opt.solvers.step_size import Backtracking, Balance, Fixed, NormBound, Separable, SpectralNorm, StepSize
-from scsr_opt.solvers.stopping import DualityGap, FixedPoint, Stopping
-from scsr_opt.solvers.tiles import is_tileable, run_tiles
+import lazy_loader
 
-__all__ = [
-    "ADMM",
-    "FISTA",
-    "ISTA",
-    "LBFGS",
-    "TileIterations",
-    "Backtracking",
-    "Balance",
-    "ChambollePock",
-    "CondatVu",
-    "ConjugateGradients",
-    "DataProximal",
-    "DualityGap",
-    "Fixed",
-    "FixedPoint",
-    "JaxoptADMM",
-    "JaxoptConjugateGradients",
-    "JaxoptFISTA",
-    "JaxoptISTA",
-    "LinearSolve",
-    "NonlinearCG",
-    "NormBound",
-    "Outcome",
-    "Problem",
-    "Record",
-    "Status",
-    "Separable",
-    "Solver",
-    "SpectralNorm",
-    "Stage",
-    "StepSize",
-    "Stopping",
-    "default_solver",
-    "is_tileable",
-    "lipschitz_bound",
-    "run_tiles",
-    "with_bound",
-    "run",
-    "implicit_minimiser",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,7 +3,6 @@
 from scsr_opt.priors.prior import Prior
 from scsr_opt.solvers.data_proximal import DataProximal
 from scsr_opt.solvers.proximal_gradient import FISTA
-from scsr_opt.solvers.quasi_newton import LBFGS
 from scsr_opt.solvers.solver import Solver
 
 
@@ -15,9 +14,16 @@ def default_solver(prior: Prior, *, strength: float, scale: int, block_diagonal:
     ∇Ψ)/L is at most `steepest`; it was the faster one up to 5, and as fast as `FISTA` at 6.5. Weights are scaled so
     that M ≤ 1 (`Problem`), and then L is at most 1/s².
     """
-    if not prior.has_prox:
-        return LBFGS()
-    lipschitz = prior.lipschitz
+    lipschitz = prior.lipschitz if prior.has_prox else None
     if block_diagonal and lipschitz is not None and strength * lipschitz * scale**2 <= steepest:
         return DataProximal()
-    return FISTA()
+    return general_solver(prior)
+
+
+def general_solver(prior: Prior) -> Solver:
+    """`FISTA`, or `LBFGS` for a smooth prior without a proximal step: for all data."""
+    if prior.has_prox:
+        return FISTA()
+    from scsr_opt.solvers.quasi_newton import LBFGS  # optimistix takes 0.2 s to import
+
+    return LBFGS()

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from scipy.linalg import expm
 
 from learned.training.drawings import drawing
@@ -116,6 +116,8 @@ class Examples:
     - `pictures`: what to look at.
     - `readouts`: spike frames from one frame of a video to the next.
     - `drawings`: every n-th example looks at drawings (`learned.training.drawings`) in the place of stills; 0: none.
+    - `defects`: every n-th example is of a sensor with pixels that never fire or always do, singly and in rows or
+      columns; 0: none.
     - `varied`: draw light, photons and turns from ranges. If not, every light is that of its name with one set of
       numbers, and nothing is turned or flipped: for validation.
 
@@ -134,6 +136,7 @@ class Examples:
     varied: bool = True
     readouts: int = 16
     drawings: int = 0
+    defects: int = 0
 
     def __getitem__(self, number: int) -> Example:
         """Example `number`, from 0.
@@ -145,7 +148,10 @@ class Examples:
         scene = self._scene(self.scenes[rng.integers(len(self.scenes))], rng, drawing if drawn else self._cut)
         sensor = _sensor(self.lights[rng.integers(len(self.lights))], rng if self.varied else None)
         recorded = simulate(scene, scale=self.scale, frames=self.frames, sensor=sensor, seed=int(rng.integers(2**32)))
-        spikes, truth = recorded.spikes, recorded.truth(float(self.frames // 2)).astype(np.float32)
+        spikes = recorded.spikes
+        if self.defects and number % self.defects == self.defects // 2:
+            spikes = _with_defects(spikes, rng)
+        truth = recorded.truth(float(self.frames // 2)).astype(np.float32)
         velocity = _seen_velocity(scene, self.scale, self.patch)
         if self.varied:
             turns, flipped = int(rng.integers(4)), bool(rng.integers(2))
@@ -262,6 +268,15 @@ class _Later(Scene):
 
     def velocity(self, t: float | int) -> Float[np.ndarray, "2 H W"]:
         return self._video.velocity(t)
+
+
+def _with_defects(spikes: UInt8[np.ndarray, "T h w"], rng: np.random.Generator) -> UInt8[np.ndarray, "T h w"]:
+    """The spikes of a sensor with faulty pixels: 0.1 to 3 % of them, and sometimes some rows or columns."""
+    faulty = rng.random(spikes.shape[1:]) < np.exp(rng.uniform(np.log(0.001), np.log(0.03)))
+    if rng.random() < 0.4:
+        lines = rng.choice(spikes.shape[1], int(rng.integers(1, 4)), replace=False)
+        (faulty if rng.integers(2) else faulty.T)[lines] = True
+    return np.where(faulty, rng.random(faulty.shape) < 0.3, spikes).astype(np.uint8)
 
 
 def _sensor(light: str, rng: np.random.Generator | None) -> Sensor:

@@ -206,6 +206,7 @@ def _examples(config: TrainingConfig) -> Examples:
         config.lights,
         pictures,
         drawings=config.drawings,
+        defects=config.defects,
     )
 
 
@@ -222,7 +223,7 @@ def _feed(
             f"The network {config.model!r} learns from examples that are prepared before the first step, but the "
             f"configuration does not say how many: add an entry prepared, for example prepared = 800."
         )
-    fields = ("scale", "frames", "patch", "scenes", "lights", "pictures", "seed", "prepared", "drawings")
+    fields = ("scale", "frames", "patch", "scenes", "lights", "pictures", "seed", "prepared", "drawings", "defects")
     made_of = {"model": config.model, "network": dict(task.preparation.made_of)}
     made_of |= {name: value for name, value in config.plain().items() if name in fields}
     preparing = Preparing(examples, config.model, config.scale, config.network)

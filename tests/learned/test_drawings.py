@@ -29,3 +29,15 @@ def test_every_third_example_is_drawn_and_the_others_stay(scene):
     stills, mixed = Examples(**size), Examples(**size, drawings=3)
     alike = [np.array_equal(stills[number].truth, mixed[number].truth) for number in range(6)]
     assert alike == [True, True, False, True, True, False]
+
+
+def test_every_fourth_example_has_faulty_pixels_and_the_others_stay():
+    size = {"scale": 1, "frames": 41, "patch": 24, "scenes": ("static",), "lights": ("day",)}
+    usual, faulty = Examples(**size), Examples(**size, defects=4)
+    alike = [np.array_equal(usual[number].spikes, faulty[number].spikes) for number in range(8)]
+    assert alike == [True, True, False, True] * 2
+    silent = [
+        np.count_nonzero(~one.spikes.any(0)) - np.count_nonzero(~other.spikes.any(0))
+        for one, other in ((faulty[number], usual[number]) for number in range(2, 80, 4))
+    ]
+    assert min(silent) >= 0 and max(silent) >= 24  # some have lines

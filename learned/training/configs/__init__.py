@@ -27,7 +27,8 @@ class TrainingConfig:
     - `scale`, `frames`, `patch`, `scenes`, `lights`, `seed`: see `learned.training.data.Examples`; `seed` is also that
       of the first weights.
     - `pictures`: folder of stills and clips (`learned.training.data.Pictures.folder`); None: those of scikit-image.
-    - `drawings`: every n-th example looks at drawings (`learned.training.drawings`) in the place of stills; 0: none.
+    - `drawings`, `defects`: every n-th example looks at drawings in the place of stills, or is of a sensor with faulty
+      pixels (`learned.training.data.Examples`); 0: none.
     - `prepared`: how many examples are made before the first step and then drawn from, for a network that does not
       take the spikes themselves (`learned.training.prepared_cache`); None for the others, which see none twice.
     - `start`: names of shipped weights (`spikesr-small-x4`) or paths of .scsr files, put in the place of the random
@@ -72,6 +73,7 @@ class TrainingConfig:
     workers: int | None = None
     prepared: int | None = None
     drawings: int = 0
+    defects: int = 0
     start: tuple[str, ...] | None = None
 
     def __post_init__(self):
@@ -189,6 +191,7 @@ _RULES: dict[str, _Rule] = {
     "workers": _whole(0, "processes", or_none=True),
     "prepared": _whole(1, "examples", or_none=True),
     "drawings": _whole(0, "examples from one drawing to the next, or 0 for none"),
+    "defects": _whole(0, "examples from one faulty sensor to the next, or 0 for none"),
     "start": (
         lambda value: (
             value is None or (isinstance(value, tuple) and len(value) > 0 and all(type(v) is str for v in value))

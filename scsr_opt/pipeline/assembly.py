@@ -25,7 +25,7 @@ from scsr_opt.pipeline.measurement import Measurements
 from scsr_opt.pipeline.outer_loop import Majorized, MajorizeMinimize
 from scsr_opt.pipeline.scene_summary import SceneSummary
 from scsr_opt.pipeline.solution import Diagnostics
-from scsr_opt.pipeline.strength import in_parts, noise_of_mean, strength_of_noise
+from scsr_opt.pipeline.strength import ValidatedStrength, in_parts, noise_of_mean, strength_of_noise
 from scsr_opt.pipeline.task import Task
 from scsr_opt.solvers.default import default_solver, general_solver
 from scsr_opt.solvers.loop import run
@@ -43,6 +43,7 @@ class Assembly:
     - `measured`, the samples as they were taken; `measurements`, those that are solved for, over the gains found.
     - `scene`, the summary of what each part of the scene needed.
     - `method`, prior, strength, lens and solver.
+    - `restores`: whether the solution is restored and solved for again (`Options.quality`).
     - `image`, X^(0); `near`, a picture near the solution, where one is known; `term`: M, c and e, where summed.
     - `diagnostics` so far.
     """
@@ -57,6 +58,7 @@ class Assembly:
     measurements: Measurements
     scene: SceneSummary | None
     method: MajorizeMinimize
+    restores: bool
     image: Float[Array, "H W"]
     near: Float[Array, "H W"] | None
     term: DataTerm | None
@@ -85,13 +87,16 @@ class Assembly:
 
     def with_validated_strength(self) -> "Assembly":
         """This problem with the strength that predicts held-out samples."""
-        task, method = self.task, self.method
-        search = task.strength_search(
-            method.prior, method.solver, gain=self.gain, optics=method.optics, noise=self.noise
-        )
-        found = search.find(task.clip, self.motion, self.measurements, self.image)
-        method = replace(method, strength=on_device(np.float32(found.strength)))
-        return replace(self, method=method, near=found.image, term=found.term)
+        task, method, prior = self.task, self.method, self.task.options.prior
+        assert prior is not None  # Options.validated
+        search = task.strength_search(prior, method.solver, gain=self.gain, optics=method.optics, noise=self.noise)
+        return self.with_strength(search.find(task.clip, self.motion, self.measurements, self.image))
+
+    def with_strength(self, found: ValidatedStrength) -> "Assembly":
+        """This problem with a validated strength, and the prior that it is for."""
+        method = replace(self.method, strength=on_device(np.float32(found.strength)), prior=found.prior)
+        restores = self.task.options.restores and found.restored
+        return replace(self, method=method, restores=restores, near=found.image, term=found.term)
 
     def with_sums(self) -> "Assembly":
         """This problem with M and c summed."""
@@ -175,6 +180,7 @@ def assemble_task(task: Task) -> Assembly:
         measurements=measured,
         scene=scene_task.result(),
         method=method,
+        restores=options.restores,
         image=image,
         near=None,
         term=None,
@@ -192,17 +198,15 @@ def assemble_task(task: Task) -> Assembly:
     if options.estimates_optics:
         assembly = _with_estimated_optics(assembly)
     if strength_task is not None:
-        found = strength_task.result()
-        method = replace(assembly.method, strength=on_device(np.float32(found.strength)))
-        assembly = replace(assembly, method=method, near=found.image, term=found.term)
+        assembly = assembly.with_strength(strength_task.result())
     elif options.selects_strength:
         assembly = assembly.with_validated_strength()
     if options.solver is None:
         block_diagonal = measured.placed.on_sensor and assembly.method.optics is None
-        if options.restores:  # solved again, with a prior that has only a proximal step
+        if assembly.restores:  # solved again, with a prior that has only a proximal step
             block_diagonal = False
         solver = default_solver(
-            prior,
+            assembly.method.prior,
             strength=assembly.strength,
             scale=task.scale,
             block_diagonal=block_diagonal,

@@ -101,8 +101,9 @@ class Options:
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `quality`: "fast", the default, or "best": a network restores the solution, and Eq. 4 is solved again with the
-      prior centred at its picture (`scsr_opt.pipeline.restoration`), in two to three times the time. A `Restoration`
-      takes the place of that network.
+      prior centred at its picture (`scsr_opt.pipeline.restoration`), in two to three times the time; where that
+      predicts held-out samples worse than the usual picture does, the usual one is solved for. A `Restoration` takes
+      the place of that network.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
     - `strength`: λ; if None, the one that predicts held-out intervals best (`StrengthSearch`), or, with a robust
       loss, the one by their noise. `PlugAndPlay` needs one.
@@ -236,8 +237,10 @@ class Options:
         """True where a network restores the solution, and Eq. 4 is solved again about its picture."""
         return not (isinstance(self.quality, str) and self.quality == "fast")
 
-    def restoration(self, scale: int) -> Restoration:
-        """What restores the solution, where it `restores`. **Raises:** as `restoration_of`."""
+    def restoration(self, scale: int) -> Restoration | None:
+        """What restores the solution; None where nothing does. **Raises:** as `restoration_of`."""
+        if not self.restores:
+            return None
         return self.quality if isinstance(self.quality, Restoration) else restoration_of(scale)
 
     def _check_restoration(self, scale: int) -> None:

@@ -121,6 +121,7 @@ def solve(
         iterations=len(stages),
         first_iterations=first or None,
         misfit_ratio=stages[-1].data / max(stages[first - 1].data, np.finfo(np.float32).tiny) if first else None,
+        restored=assembly.restores if assembly.task.options.restores else None,
         solver=type(assembly.method.solver).__name__,
         samples=int(np.count_nonzero(placed.weight)),
         positions=placed.finest,

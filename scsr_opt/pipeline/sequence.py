@@ -130,14 +130,25 @@ class _Followed(NamedTuple):
     """A motion that was estimated, and what is carried on with it.
 
     **Fields:** `motion`, at frame `since`; `contradicted`, the share of the pixels that contradicted it then;
-    `strength`, None where it is given; `gain` of the pixels, None for 1.
+    `options` of the pictures that follow: the gains, and where it was validated, the strength and what it is for.
     """
 
     motion: Motion
     since: int
     contradicted: float
-    strength: float | None
-    gain: Float[np.ndarray, "h w"] | None
+    options: dict[str, Any]
+
+
+def _kept_options(
+    options: Options, gain: Float[np.ndarray, "h w"] | None, strength: float | None, restored: bool
+) -> dict[str, Any]:
+    """`_Followed.options`, of what was found for a picture that was solved for with these options."""
+    kept: dict[str, Any] = {"gain": gain}
+    if not options.selects_strength:
+        return kept
+    if options.restores and not restored:  # the strength is that of the usual prior
+        kept |= {"quality": "fast", "prior": None}
+    return kept | {"strength": strength}
 
 
 class _Moment(NamedTuple):
@@ -176,9 +187,9 @@ def _pictures(
             assembly = None
             if followed is None or motion is None:
                 assembly = assemble_task(task)
-                λ = assembly.strength if task.options.selects_strength else None
+                kept = _kept_options(task.options, assembly.gain, assembly.strength, assembly.restores)
                 share = _contradicted(frames, assembly.motion, task)
-                followed = _Followed(assembly.motion, task.clip.key_frame, share, λ, assembly.gain)
+                followed = _Followed(assembly.motion, task.clip.key_frame, share, kept)
             yield _Moment(task, frames, motion, followed), assembly
 
     def assemblies(
@@ -188,10 +199,8 @@ def _pictures(
         with closing(known):
             for now, assembly in known:
                 if assembly is None:
-                    changes: dict[str, Any] = {"motion": now.carried, "gain": now.followed.gain}
-                    if now.followed.strength is not None:
-                        changes["strength"] = now.followed.strength
-                    assembly = assemble_task(task_of(recording, scale, now.key, Options.of(options, changes)))
+                    changes = Options.of(options, {"motion": now.carried, **now.followed.options})
+                    assembly = assemble_task(task_of(recording, scale, now.key, changes))
                     solver = assembly.method.solver
                     solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
                     assembly = replace(assembly, method=replace(assembly.method, solver=solver))
@@ -208,9 +217,10 @@ def _pictures(
                 if not solution.status.usable or solution.motion is None:
                     followed = None
                 elif now.carried is None and solution.motion is not assembly.motion:
-                    λ = None if followed.strength is None else solution.diagnostics.strength
+                    known = solution.diagnostics
+                    kept = _kept_options(now.task.options, solution.gain, known.strength, known.restored is True)
                     share = _contradicted(now.frames, solution.motion, now.task)
-                    followed = _Followed(solution.motion, now.key, share, λ, solution.gain)
+                    followed = _Followed(solution.motion, now.key, share, kept)
                 before = None if followed is None else (now.key, solution)
                 done += 1
                 yield solution.handed_out()

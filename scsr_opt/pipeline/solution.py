@@ -46,7 +46,8 @@ class Diagnostics:
     - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
     - `first_iterations`: of `iterations`, those before Eq. 4 was solved again about a restored picture
       (`Options.quality`); `strength` is the λ of these. `misfit_ratio`: f(X) of the picture over that of the solution
-      that was restored: what the samples contradict would raise it above 1.
+      that was restored: what the samples contradict would raise it above 1. `restored`: false where the restored
+      picture predicted held-out samples worse than the usual one, which was solved for instead.
     - `seconds`: by part of the work.
     """
 
@@ -69,6 +70,7 @@ class Diagnostics:
     motion_carried: bool | None = None
     first_iterations: int | None = None
     misfit_ratio: float | None = None
+    restored: bool | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -33,7 +34,9 @@ from scsr_opt.operators.sampling import PlacedSamples, accumulate, place
 from scsr_opt.pipeline.clip import Clip
 from scsr_opt.pipeline.folds import held_out, light_at_rest
 from scsr_opt.pipeline.measurement import Measurements, measure
+from scsr_opt.pipeline.restoration import Restoration, solved
 from scsr_opt.pipeline.settings import SamplingSettings, StrengthSettings
+from scsr_opt.priors.centred import Centred
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.prior import Prior
 from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
@@ -92,7 +95,9 @@ class ValidatedStrength(NamedTuple):
     """A strength λ, and what finding it left behind where the whole picture was one part.
 
     **Fields:**
-    - `strength`: λ.
+    - `strength`: λ, of `prior` Ψ.
+    - `restored`: false where the picture about a restored one predicts held-out samples worse than that of `prior`,
+      which is the default one then.
     - `image`: (H, W), intensity, the picture of the tried strength nearest to it (before a prior that stood in is
       accounted for): a start much nearer to the solution than playback. None if it is not finite.
     - `term`: M, c and e of all samples, those that were held out added to the others; None where these sums are not
@@ -100,6 +105,8 @@ class ValidatedStrength(NamedTuple):
     """
 
     strength: float
+    prior: Prior
+    restored: bool = True
     image: Float[Array, "H W"] | None = None
     term: DataTerm | None = None
 
@@ -151,8 +158,25 @@ class _Fold:
     def error(self, strength: float) -> Float[np.ndarray, "2"]:
         """Weighted sum of squares by which the picture of this strength misses the held-out samples, and of weights."""
         self._solve(strength)
+        return self._missed(self.image)
+
+    def restored_errors(self, restoration: Restoration, prior: Prior, strength: float) -> Float[np.ndarray, "2 2"]:
+        """As `error`, of the picture with this prior, and of that with the prior centred at its restoration; NaN where
+        that is not finite."""
+        λ = on_device(np.float32(strength))
+        first = run(self._solver, Problem(self._term, prior, λ), self.image).image
+        centre = jnp.asarray(restoration(solved(self._term, first, λ)))
+        if not bool(jnp.isfinite(centre).all()):
+            return np.full((2, 2), np.nan)
+        again = Problem(
+            self._term, Centred(prior, centre), on_device(np.float32(restoration.strength_ratio * strength))
+        )
+        second = run(self._solver, again, centre).image
+        return np.stack([self._missed(on_device(first)), self._missed(on_device(second))])
+
+    def _missed(self, image: Float[Array, "H W"]) -> Float[np.ndarray, "2"]:
         held = self._split.held
-        missed = np.asarray(held.read(blurred(self._plain, self.image))) - np.asarray(held.value)
+        missed = np.asarray(held.read(blurred(self._plain, image))) - np.asarray(held.value)
         weight = np.asarray(held.weight, float)  # sums of hundreds of thousands
         return np.array([weight @ missed**2, weight.sum()])
 
@@ -168,6 +192,8 @@ class StrengthSearch:
     **Fields:**
     - `scale` s; `prior`, `solver`, `sampling`, `gain` and `optics` as for the reconstruction. `FISTA` stands in for
       solvers that use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`.
+    - `restoration`: what restores the solution, if anything; about its picture held-out samples have to be predicted at
+      least as well as by the solution itself, or, with `by_stand_in`, by that of the stand-in.
     - `noise`: standard deviation of a pixel's mean (`noise_of_mean`), intensity; found if None.
     - `merged_intervals`: whether intervals are merged where nothing moves; `reused_sums`: whether M and c of kept and
       held-out samples are added up for the solve that follows (`Shortcuts`).
@@ -181,6 +207,8 @@ class StrengthSearch:
     sampling: SamplingRule
     gain: Float[np.ndarray, "h w"] | None = None
     optics: LinearOperator | None = None
+    restoration: Restoration | None = None
+    by_stand_in: bool = False
     noise: float | None = None
     merged_intervals: bool = True
     reused_sums: bool = True
@@ -207,7 +235,7 @@ class StrengthSearch:
         least = strength_of_noise(noise, self.scale, self.prior, settings)
         parts = self._splits(clip, motion, measurements, image)
         if not parts:
-            return ValidatedStrength(least)
+            return ValidatedStrength(least, self.prior)
         # A prior that is used by its gradient need not have a proximal step.
         kind = FISTA() if self.solver.uses_prox else self.solver
         solver = dataclasses.replace(kind, iterations=settings.iterations, tolerance=settings.tolerance)
@@ -249,9 +277,20 @@ class StrengthSearch:
             term = folds[0].term()
             near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
             near = near if np.isfinite(near).all() else None
+        unrestored = ValidatedStrength(least * times / share, stand_in, False, near, term)
         if ridge:
             times = max(at_least, raised_by * settings.ridge_factor * best**settings.ridge_exponent)
-        return ValidatedStrength(least * times, near, term)
+        found = ValidatedStrength(least * times, self.prior, True, near, term)
+        if self.restoration is None:
+            return found
+        restored_errors = partial(_Fold.restored_errors, restoration=self.restoration, prior=self.prior)
+        sums = in_threads(lambda fold: restored_errors(fold, strength=found.strength), folds)
+        plain, restored = (squares / weights for squares, weights in np.sum(sums, 0))
+        if self.by_stand_in:
+            plain = error(unrestored.strength * share / least)
+        else:
+            unrestored = found._replace(restored=False)
+        return unrestored if restored > plain else found  # the latter where it is not finite, which a solve reports
 
     def _splits(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]

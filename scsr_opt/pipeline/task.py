@@ -28,6 +28,7 @@ from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.scene_summary import SampleWeights, SceneSummary, summarise_scene
 from scsr_opt.pipeline.strength import StrengthSearch, longest_merged
 from scsr_opt.priors.prior import Prior
+from scsr_opt.priors.ridge_regulariser import RidgeRegulariser
 from scsr_opt.solvers.solver import Solver
 
 
@@ -203,18 +204,21 @@ class Task:
         noise: float,
     ) -> StrengthSearch:
         """The search for the strength that predicts held-out samples."""
+        options, learned = self.options, isinstance(prior, RidgeRegulariser)
         return StrengthSearch(
             scale=self.scale,
             prior=prior,
             solver=solver,
-            sampling=self.options.samples,  # type: ignore[arg-type]
+            sampling=options.samples,  # type: ignore[arg-type]
             gain=gain,
             optics=optics,
+            restoration=options.restoration(self.scale),
+            by_stand_in=learned and self.scale > options.settings.learned_prior_scale,
             noise=noise,
-            merged_intervals=self.options.shortcuts.merged_intervals,
-            reused_sums=self.options.shortcuts.reused_sums,
-            sampling_settings=self.options.settings.sampling,
-            settings=self.options.settings.strength,
+            merged_intervals=options.shortcuts.merged_intervals,
+            reused_sums=options.shortcuts.reused_sums,
+            sampling_settings=options.settings.sampling,
+            settings=options.settings.strength,
         )
 
     def summarise(self, motion: Motion, measurements: Measurements, noise: float) -> SceneSummary | None:

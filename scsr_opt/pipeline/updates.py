@@ -143,11 +143,12 @@ class CentreUpdate(Update):
     `scsr_opt.pipeline.restoration`): Ψ(X − X̂) in the place of Ψ(X)."""
 
     def rounds(self, assembly: Assembly) -> int:
-        return 1 if assembly.task.options.restores else 0
+        return 1 if assembly.restores else 0
 
     def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
         began, method = time.perf_counter(), assembly.method
         restoration = assembly.task.options.restoration(assembly.task.scale)
+        assert restoration is not None  # `rounds`
         centre = jnp.asarray(restoration(solved_by(assembly, found)))
         if not bool(jnp.isfinite(centre).all()):
             return Updated(assembly, False, failed=True)

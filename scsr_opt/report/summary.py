@@ -147,6 +147,11 @@ class Report:
                 f"Quality: best. A network restored the picture, which was solved for again about that; its misfit to "
                 f"the measurements is {self.diagnostics['misfit_ratio']:.3g} times that before."
             )
+        if self.diagnostics["restored"] is False:
+            lines.append(
+                "Quality: fast. What a network made of the picture predicted held-out measurements worse than the "
+                "picture itself."
+            )
         iterations = self.diagnostics["iterations"]
         took = f" in {self.seconds['solve']:.1f} s" if "solve" in self.seconds else ""
         lines.append(f"{iterations} iterations{took}. {self.status['message']}")

@@ -21,7 +21,8 @@ from learned.training import checkpoint
 from learned.training.data import Example
 from learned.training.registry import trainable
 from learned.zoo import Optimizer, best, model
-from scsr_opt import InputError, Status, reconstruct
+from scsr_opt import InputError, Status, reconstruct, reconstruct_sequence
+from scsr_opt.camera import Sensor, Translation, simulate
 from scsr_opt.operators import Huber
 from scsr_opt.pipeline.restoration import Solved
 from scsr_opt.priors import HuberTotalVariation
@@ -146,7 +147,8 @@ def test_examples_are_turned_as_they_are_drawn():
 
 
 def test_a_second_solve_about_the_first_solution(recording, silent):
-    first, found = model("ridge", 2)(recording, scale=2), silent(recording, scale=2)
+    λ = 1e-3  # one that is given, so that held-out samples are not asked whether to restore
+    first, found = (of(recording, scale=2, strength=λ) for of in (model("ridge", 2), silent))
     assert found.status is Status.converged
     count = found.diagnostics.first_iterations
     assert count == first.diagnostics.iterations and found.diagnostics.iterations == len(found.stages) > count
@@ -176,7 +178,8 @@ def test_what_the_network_says_comes_through(recording, silent, tmp_path):
         0.4 * jnp.tile(jnp.array([1.0, 1.0, -1.0, -1.0]), 4)[:, None, None],
     )
     other = model(saved(tmp_path / "louder.scsr", louder), 2)
-    before, after = silent(recording, scale=2).image, other(recording, scale=2).image
+    # With a strength that is given, held-out samples are not asked.
+    before, after = (of(recording, scale=2, strength=1e-3).image for of in (silent, other))
     along = np.asarray(restored(louder, solved(before))) - before
     share = float(np.sum((after - before) * along) / np.sum(along**2))
     assert 0.02 < share < 0.9
@@ -222,6 +225,67 @@ def test_what_is_refused(recording, silent):
         trainable("restoration", 2, {"depth": 3})
 
 
+def test_a_restoration_that_predicts_worse_is_not_used(recording, silent):
+    """Bars as wide as a sensor pixel, which the data contradict; and the truth, which they do not."""
+
+    class Told:
+        strength_ratio = 2.0
+
+        def __init__(self, change):
+            self._change = change
+
+        def __call__(self, solved):
+            rows, columns = solved.image.shape
+            return solved.image + self._change[:rows, :columns]
+
+    bars = np.tile(np.repeat([0.2, -0.2], 2)[:, None], (10, 48)).astype(np.float32)
+    usual = reconstruct(recording, scale=2)
+    wrong = reconstruct(recording, scale=2, quality=Told(bars))
+    assert wrong.diagnostics.restored is False and wrong.diagnostics.first_iterations is None
+    np.testing.assert_array_equal(wrong.image, usual.image)
+    assert any(line.startswith("Quality: fast") for line in wrong.report().lines())
+    assert usual.diagnostics.restored is None
+
+
+@pytest.mark.parametrize("scale", [2, 4])
+def test_a_restoration_that_predicts_better_is_used(scale):
+    """The truth, of a pan in dim light."""
+    from skimage import data
+
+    scene = Translation(data.camera()[100:, 150:][: 24 * scale, : 32 * scale] / 255, (0.0, 0.1 * scale), key=30)
+    recorded = simulate(scene, scale=scale, frames=61, sensor=Sensor(0.3, 50.0), seed=1)
+
+    class Truth:
+        strength_ratio = 2.0
+
+        def __call__(self, solved):
+            return jnp.asarray(recorded.truth(30), jnp.float32)
+
+    usual, found = (
+        reconstruct(recorded.spikes, scale=scale, white_rate=0.3, **options) for options in ({}, {"quality": Truth()})
+    )
+    assert found.diagnostics.restored is True
+    errors = [float(np.mean((one.image - recorded.truth(30)) ** 2)) for one in (usual, found)]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_sequence_carries_on_what_was_decided(recording):
+    """Of its first picture: the strength of the usual prior is not used with another one."""
+
+    class Wrong:
+        strength_ratio = 2.0
+
+        def __call__(self, solved):
+            return solved.image + jnp.where(jnp.arange(len(solved.image))[:, None] % 8 < 4, 0.2, -0.2)
+
+    options = {"scale": 4, "frames": 21}
+    found = list(reconstruct_sequence(recording, (18, 20), quality=Wrong(), **options))
+    usual = list(reconstruct_sequence(recording, (18, 20), **options))
+    for one, same in zip(found, usual, strict=True):
+        assert one.diagnostics.motion_carried == same.diagnostics.motion_carried
+        np.testing.assert_array_equal(one.image, same.image)
+
+
 def test_quality_takes_a_restoration_of_ones_own(recording):
     """Any prior may be centred; the picture of "best" is that of the shipped network."""
 
@@ -236,8 +300,7 @@ def test_quality_takes_a_restoration_of_ones_own(recording):
     # A constant costs nothing by the prior: the data alone decide it.
     assert lighter.status is Status.converged
     assert abs(float(np.mean(lighter.image - usual.image))) < 0.01
-    found = reconstruct(recording, scale=4, quality="best")
-    same = reconstruct(recording, scale=4, quality=best(4))
+    found, same = (reconstruct(recording, scale=4, strength=1e-3, quality=of) for of in ("best", best(4)))
     np.testing.assert_array_equal(found.image, same.image)
     assert found.diagnostics.first_iterations and isinstance(best(4), NetworkRestoration)
 

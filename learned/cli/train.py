@@ -30,8 +30,8 @@ def train(
     pictures: Annotated[
         Path | None,
         Parameter(
-            help="Folder of pictures to train on; folders in it that hold three or more are videos, one frame each. "
-            "Default: the configuration's, else pictures that come with scikit-image."
+            help="Folder of pictures to train on; a folder in it with three pictures or more is a video, each picture "
+            "a frame. Default: that of the configuration, or else pictures that come with scikit-image."
         ),
     ] = None,
     steps: Annotated[Whole | None, Parameter(help="Steps to train for in all. Default: the configuration's.")] = None,

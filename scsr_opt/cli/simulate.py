@@ -281,7 +281,7 @@ def _check(
     if true_velocity is not None and true_velocity.suffix.lower() != ".npy":
         raise InputError(f"--true-velocity {true_velocity} must end in .npy.")
     if true_velocity is not None and motion.scene == "video":
-        raise InputError("--true-velocity cannot be had for a video: nobody knows how the things in it moved.")
+        raise InputError("--true-velocity cannot be had for a video, whose motion is not known: leave it out.")
 
 
 def _write_velocity(path: Path, velocity: Any) -> None:

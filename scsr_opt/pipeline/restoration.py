@@ -63,7 +63,7 @@ def restoration_of(scale: int) -> Restoration:
     for entry in entry_points(group=GROUP, name="best"):
         return entry.load()(scale)
     raise InputError(
-        "quality is 'best', but no package that restores pictures is installed; install scsr-opt anew, or take 'fast'."
+        "quality is 'best', but no package that restores pictures is installed; install scsr-opt again, or take 'fast'."
     )
 
 

@@ -36,7 +36,7 @@ class Wipe:
     **Fields:**
     - `before`, `after`: (H, W), intensity, 1 = white, of one size.
     - `names`: what is written below them.
-    - `gamma`: 2.2 is for looking at, 1 keeps intensity linear.
+    - `gamma`: 2.2 is what viewers expect, 1 keeps intensity linear.
 
     Both are drawn with one grey scale, whose white is near the brightest of them.
     """

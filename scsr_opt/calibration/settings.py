@@ -7,8 +7,8 @@ from scsr_opt._settings import Settings
 
 @dataclass(frozen=True, kw_only=True)
 class BadPixelSettings(Settings):
-    """Search for bad pixels (`scsr_opt.calibration.bad_pixels`). Found on pictures of BSDS500 at rest and moving, on
-    text, checkerboards and stars, and on a real roadside with and without a car."""
+    """Search for bad pixels (`scsr_opt.calibration.bad_pixels`). The values were found on pictures of BSDS500 at rest
+    and moving, on text, checkerboards and stars, and on a real roadside with and without a car."""
 
     above_zero = frozenset({"around_px", "quarters", "rounds"})
 

@@ -15,7 +15,7 @@ from scsr_opt.solvers.settings import TileSettings
 
 @dataclass(frozen=True, kw_only=True)
 class SamplingSettings(Settings):
-    """From spikes to samples and their places (`scsr_opt.pipeline.measurement`, `scsr_opt.pipeline.visibility`)."""
+    """Making samples and their places from spikes (`scsr_opt.pipeline.measurement`, `scsr_opt.pipeline.visibility`)."""
 
     above_zero = frozenset({"merged_weight_change", "cut_remaining_frames"})
 
@@ -155,7 +155,7 @@ class RefinementSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSummarySettings(Settings):
-    """Limits of the kinds of tiles in a scene summary, which decides nothing (`scsr_opt.pipeline.scene_summary`)."""
+    """Limits of the kinds of tiles in a scene summary, for information only (`scsr_opt.pipeline.scene_summary`)."""
 
     above_zero = frozenset({"tile_px"})
 
@@ -175,7 +175,7 @@ class SceneSummarySettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceSettings(Settings):
-    """Values that the next picture of a sequence takes over from the last one (`scsr_opt.pipeline.sequence`)."""
+    """What is carried on from one picture of a sequence to the next (`scsr_opt.pipeline.sequence`)."""
 
     carried_frames: int = 100
     """Frames over which a motion is carried on, at most: as long as some of the frames from which it was estimated are

@@ -27,7 +27,7 @@ _PAGE = """<div style="position:relative;width:{width}px;max-width:100%;font:12p
 
 @dataclass(frozen=True, eq=False)
 class Wipe:
-    """Two pictures of one scene, of which a line that moves across shows the one or the other.
+    """Two pictures of one scene, divided by a movable line: one picture left of it, the other right.
 
         Wipe(bicubic(playback, 4), solution.image, names=("playback", "reconstruction")).write("wipe.gif")
 

@@ -247,8 +247,13 @@ def _race_table(name: str, found: dict[str, Any]) -> str:
         residual = next((f"{one['residual']:.1e}" for one in row["reached"] if one["gap"] == 1e-4), "–")
         return [f"`{solver}`", *cells, residual, f"{row['compile_seconds']:.1f}"]
 
-    head = ["ms (iterations) to a gap of", *(f"{gap:.0e}" for gap in GAPS), "residual at 1e-04", "compiling, s"]
-    known = f"λ = {found['strength']:.2g}; the minimum is known to within {found['certain']:.0e} of itself."
+    head = [
+        "ms (iterations) to a gap of",
+        *(f"{gap:.0e}" for gap in GAPS),
+        "residual at a gap of 1e-04",
+        "compiling, s",
+    ]
+    known = f"λ = {found['strength']:.2g}; the minimum is known to a relative error of {found['certain']:.0e}."
     return f"**{name}**; {known}\n\n" + command.table(head, [line(*row) for row in found["rows"].items()])
 
 
@@ -265,7 +270,12 @@ def _prior_table(rows: dict[str, Any], stills: list[str], conditions: list[str])
         spread = f"{min(strengths):.3g} … {max(strengths):.3g}"
         return [name, *cells, spread, f"{np.median(row['seconds']) / usual:.1f}"]
 
-    head = [f"{', '.join(stills)}, dB / mean SSIM", *conditions, "best λ over that of `reconstruct`", "time"]
+    head = [
+        f"{', '.join(stills)}, dB / mean SSIM",
+        *conditions,
+        "best λ relative to that of `reconstruct`",
+        "time relative to TV",
+    ]
     return command.table(head, [line(name, row) for name, row in rows.items()])
 
 

@@ -47,8 +47,9 @@ def _with_quartiles(one: Spread) -> str:
 def _solvers(rows: list[dict[str, Any]]) -> list[str]:
     parts = ["### Solvers, priors, data terms, precisions"]
     head = [
-        "ms (iterations) to a gap of", *(f"{gap:.0e}" for gap in GAPS), f"{_COMPARED_GAP:.0e}, over the default's",
-        "ms an iteration (quartiles)", "compiling, s", "memory, MB", "PSNR, dB", "SSIM", "minimum known to",
+        "ms (iterations) to a gap of", *(f"{gap:.0e}" for gap in GAPS),
+        f"time to {_COMPARED_GAP:.0e}, relative to the default", "ms an iteration (quartiles)", "compiling, s",
+        "memory, MB", "PSNR, dB", "SSIM", "relative error of the minimum",
     ]  # fmt: skip
     for scale in dict.fromkeys(row["scale"] for row in rows):
         own = [row for row in rows if row["scale"] == scale]
@@ -90,7 +91,7 @@ def _whole(found: dict[str, Any]) -> list[str]:
         "PSNR, dB",
         "SSIM",
         "seconds (quartiles over the recordings)",
-        "time over the default's",
+        "time relative to the default",
         "memory, MB",
         "on the front",
     ]
@@ -157,7 +158,7 @@ def _roofline(found: dict[str, Any]) -> list[str]:
         ]  # fmt: skip
 
     head = [
-        "kernel", "ms (quartiles)", "MB at least", "MB by XLA", "Mop by hand", "Mop by XLA", "fusions", "GB/s",
+        "kernel", "ms (quartiles)", "MB, by hand", "MB, by XLA", "10⁶ operations, by hand", "by XLA", "fusions", "GB/s",
         "GB/s of a copy", "share of the limit",
     ]  # fmt: skip
     (height, width), (frames, rows, columns, scale) = found["shape"], found["accumulated"]

@@ -201,19 +201,19 @@ def _vmap(rng: np.random.Generator) -> Iterator[Case]:
     return grid(rng, PRECISIONS[:2], kind=("vmap",), iterations=(20,), solver__prior=chosen, light__strength=seen)
 
 
-def _door(rng: np.random.Generator) -> Iterator[Case]:
-    """The whole way from spikes to a picture."""
+def _reconstruct(rng: np.random.Generator) -> Iterator[Case]:
+    """`reconstruct` from the spikes, with motion, λ, prior and solver given."""
 
-    def door(**axes: Any) -> Iterator[Case]:
+    def given(**axes: Any) -> Iterator[Case]:
         return grid(rng, ("float32",), kind=("reconstruct",), iterations=(40,), **axes)
 
-    yield from door(motion=MOTIONS, light=LIGHTS)
-    yield from door(bad=BAD, strength=(0.0, 1e-8, 1e-3, 1.0, 1e4))
-    yield from door(frames=FRAMES, light=("0.3", "0.0001", "all-zero", "all-one"))
+    yield from given(motion=MOTIONS, light=LIGHTS)
+    yield from given(bad=BAD, strength=(0.0, 1e-8, 1e-3, 1.0, 1e4))
+    yield from given(frames=FRAMES, light=("0.3", "0.0001", "all-zero", "all-one"))
     shapes = [(sensor, scale) for sensor, scales in SIZES.items() for scale in scales[::2]]
-    yield from door(sensor__scale=shapes, light=("0.3", "all-one"), motion=("static",))
-    yield from door(lens=(1.0, 16.0), light=LIGHTS)
-    yield from door(motion=MOTIONS, light=LIGHTS[::2], prior=("ridge",))
+    yield from given(sensor__scale=shapes, light=("0.3", "all-one"), motion=("static",))
+    yield from given(lens=(1.0, 16.0), light=LIGHTS)
+    yield from given(motion=MOTIONS, light=LIGHTS[::2], prior=("ridge",))
 
 
 def _defaults(rng: np.random.Generator) -> Iterator[Case]:
@@ -278,7 +278,7 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Iterator[Case]]] = {
     "long": _long,
     "gradients": _gradients,
     "vmap": _vmap,
-    "door": _door,
+    "reconstruct": _reconstruct,
     "defaults": _defaults,
     "random": _random,
 }

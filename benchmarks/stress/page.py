@@ -13,7 +13,7 @@ from benchmarks.stress.conditioning import STRENGTH
 Row = dict[str, Any]
 # Failures that are written out.
 _SHOWN = 40
-# First pictures from which every solver should come down in a few iterations.
+# Initial images from which every solver should converge in a few iterations.
 _ORDINARY = ("grey", "zero", "noise")
 _OUTCOMES = {
     "converged": "converged",
@@ -30,7 +30,7 @@ AXES = {
     "solver": "solver",
     "prior": "prior",
     "precision": "precision",
-    "start": "first picture",
+    "start": "initial image",
     "light": "light",
     "motion": "motion",
 }
@@ -50,8 +50,8 @@ def page(result: dict[str, Any], stem: str) -> str:
     parts += [_outcomes(rows, axis, head) for axis, head in AXES.items()]
     if any("agrees with float64" in row["checks"] for row in rows):
         text = (
-            "ΔF/F is that of cases whose first picture is grey, zero or noise, and whose minimum is not next to 0 "
-            "beside what it is added up from; the bound's share is that of all."
+            "ΔF/F is given for cases whose initial image is grey, zero or noise, and whose minimum is not small "
+            "against the terms of its sum; the share of the bound is given for all cases."
         )
         parts += ["### Against float64", text, _agreement(rows)]
     if result["conditions"]:
@@ -108,13 +108,21 @@ def _agreement(rows: list[Row]) -> str:
                     [precision, solver, str(len(some)), f"{np.median(apart):.0e}", f"{np.quantile(apart, 0.9):.0e}",
                      f"{np.median(shares):.0e}", f"{shares.max():.2f}"]
                 )  # fmt: skip
-    head = ["precision", "solver", "pictures", "ΔF/F, median", "9 in 10 below", "share of its bound, median", "largest"]
+    head = [
+        "precision",
+        "solver",
+        "pictures",
+        "ΔF/F, median",
+        "ΔF/F, 90 % quantile",
+        "share of the bound, median",
+        "largest",
+    ]
     return table(head, lines)
 
 
 def _conditions(rows: list[Row]) -> str:
     return table(
-        ["scale", "motion", "bound on L over L", "eigenvalues above float32's rounding", "condition of these",
+        ["scale", "motion", "bound on L over L", "eigenvalues above float32's rounding", "condition number of these",
          f"with Huber-TV, λ = {STRENGTH:g}", "of ADMM's system"],
         [
             [f"×{row['scale']}", row["motion"], f"{row['bound']:.3f}", f"{100 * row['seen']:.0f} %",

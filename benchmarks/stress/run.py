@@ -92,7 +92,7 @@ def _solve(case: Case, finding: Finding) -> None:
         finding.checks["objective falls"] = bool((after - before <= allowed).all())
     if case.iterations <= LONG:
         again = solve(case)
-        finding.checks["is the same again"] = (
+        finding.checks["is reproducible"] = (
             np.array_equal(found.image, again.image) and found.result == again.result
             and np.array_equal(found.objectives, again.objectives, equal_nan=True)
         )  # fmt: skip
@@ -189,7 +189,7 @@ def _gradient(case: Case, finding: Finding) -> None:
     picture, *derivatives = found
     ends_well(finding, picture, "iterations_exhausted", True, ())
     finding.checks["gradient is finite"] = all(np.isfinite(v).all() for v in derivatives)
-    finding.checks["is the same again"] = all(
+    finding.checks["is reproducible"] = all(
         np.array_equal(a, b, equal_nan=True) for a, b in zip(found, again, strict=True)
     )
     finding.numbers["by strength"] = float(derivatives[0])
@@ -246,12 +246,12 @@ def _vmap(case: Case, finding: Finding) -> None:
             certificates.append(certificate_of(same, solver, of, image_of, moved, stages))
         if None in certificates:
             close = np.allclose(picture, outcome.image, rtol=0, atol=1e3 * UNIT[case.precision] * np.abs(picture).max())
-            finding.checks["agrees with one at a time"] = agrees = agrees and bool(close)
+            finding.checks["under vmap as alone"] = agrees = agrees and bool(close)
             continue
         distance = float(np.linalg.norm(picture.astype(float) - outcome.image))
         _, share = agreement(certificates[0], certificates[1], distance)
         finding.numbers["share of the bound"] = max(share, finding.numbers.get("share of the bound", 0.0))
-        finding.checks["agrees with one at a time"] = agrees = agrees and share <= 1
+        finding.checks["under vmap as alone"] = agrees = agrees and share <= 1
 
 
 @eqx.filter_jit
@@ -269,7 +269,7 @@ def _batched(solver: Solver, numbers: Any, fixed: Any, image: Array, iterations:
     return jax.vmap(one)(numbers)
 
 
-def _door(case: Case, finding: Finding) -> None:
+def _reconstruct(case: Case, finding: Finding) -> None:
     """Runs `reconstruct`, with motion, λ, prior, solver and lens given, or with the recording alone."""
     seen = situation(case)
     given: dict[str, Any] = {}
@@ -292,15 +292,15 @@ def _door(case: Case, finding: Finding) -> None:
     finding.checks["ends well"] &= first.status.name != "no_samples" or not has_samples(seen)
     same = np.array_equal(first.image, second.image) and first.status == second.status
     # Equal, too, where both are not a number.
-    finding.checks["is the same again"] = same and np.array_equal(
+    finding.checks["is reproducible"] = same and np.array_equal(
         np.array(objectives), np.array([stage.objective for stage in second.stages]), equal_nan=True
     )
 
 
 _KINDS: dict[str, Callable[[Case, Finding], None]] = {
     "solve": _solve,
-    "reconstruct": _door,
-    "defaults": _door,
+    "reconstruct": _reconstruct,
+    "defaults": _reconstruct,
     "descent": _descent,
     "gradient": _gradient,
     "vmap": _vmap,

@@ -36,10 +36,10 @@ def compare(
     key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
     truth: Annotated[
         Path | None,
-        Parameter(help="The picture that would be right, linear and of the size that is made: adds PSNR and SSIM."),
+        Parameter(help="The true picture, linear and of the size of the result: adds PSNR and SSIM."),
     ] = None,
     costs: Annotated[
-        bool, Parameter(help="Measure seconds and FLOPs, for which each stage of a network is compiled by itself.")
+        bool, Parameter(help="Measure seconds and FLOPs; for this, each stage of a network is compiled separately.")
     ] = True,
     reading: Reading | None = None,
     overwrite: Overwrite = False,

@@ -14,8 +14,8 @@ def train(
         Parameter(
             help="A .toml file, or a configuration of the package: the id of a model, NAME-x2 or NAME-x4 with NAME one "
             "of unrolled, unrolled-pase, spikesr-plain (as in the paper), spikesr-small and spikesr-full (with an "
-            "estimate of velocity), ridge-centred-x4; a part of one, velocity or compensation-x2, -x4; or smoke, which "
-            "takes half a minute and learns nothing."
+            "estimate of velocity), ridge-centred (for quality best; also -x1); a part of one, velocity or "
+            "compensation-x2, -x4; or smoke, a test of half a minute in which the network learns nothing."
         ),
     ],
     /,
@@ -30,8 +30,8 @@ def train(
     pictures: Annotated[
         Path | None,
         Parameter(
-            help="Folder of pictures to train on; folders in it that hold three or more are videos, one frame each. "
-            "Default: the configuration's, else pictures that come with scikit-image."
+            help="Folder of pictures to train on; a folder in it with three pictures or more is a video, each picture "
+            "a frame. Default: that of the configuration, or else pictures that come with scikit-image."
         ),
     ] = None,
     steps: Annotated[Whole | None, Parameter(help="Steps to train for in all. Default: the configuration's.")] = None,

@@ -21,7 +21,7 @@ def refuse_fork() -> None:
     if _orphaned:
         raise InputError(
             "This process was forked from one in which JAX had been started, and would wait for ever for JAX's "
-            'threads, which a fork does not take along; start it afresh, with multiprocessing.get_context("spawn").'
+            'threads, which a forked process lacks; start it by multiprocessing.get_context("spawn") instead.'
         )
 
 

@@ -1,13 +1,13 @@
-"""Compiled programs, so bounded that they neither fill the memory nor run into the kernel's limit of mappings.
+"""Bound on the compiled programs of a process, for its memory and for the kernel's limit of memory mappings.
 
-XLA compiles a program for each shape, and JAX keeps all of them. One size of sensor leaves some sixty programs: 100 MB,
-and 1,750 memory mappings, of which Linux lets a process have 65,530 (`vm.max_map_count`) before it ends it. So what
-is called from outside passes `ready`, which looks how much room programs have taken, and lets them go where that is too
-much: those of this library and of JAX's own functions, never those of functions that somebody else has jitted. They are
-compiled again when they are needed. Where nothing has been compiled since the last look, looking costs nothing.
+XLA compiles a program for each shape, and JAX keeps all of them. Sixty programs of one size of sensor took 100 MB and
+1,750 memory mappings, of which Linux lets a process have 65,530 (`vm.max_map_count`) before it ends it. Functions that
+a user calls therefore run `ready` first, which releases all programs once they take too much room: those of this
+library and of JAX's own functions, never those of functions that somebody else has jitted. They are compiled again when
+they are needed. Where nothing has been compiled since the last check, the check costs nothing.
 
-A program that is running, or being compiled by another thread, is held by whoever runs it: only the caches' references
-to it are dropped.
+A program that is running, or being compiled by another thread, is held by that thread: only the references to it in
+caches are dropped.
 """
 
 import ctypes

@@ -88,7 +88,7 @@ def isolated_pixels(
     bad: Bool[np.ndarray, "h w"] | None = None,
     settings: BadPixelSettings = BadPixelSettings(),
 ) -> BadPixels:
-    """Pixels that stand out from their neighbours as nothing around there does.
+    """Pixels that deviate from their neighbours far more than any pixel around.
 
     A pixel's deviation is that of ln(spikes) from the median of its eight neighbours. It stands out if it lies beyond
     all but one of them, if these do not share its deviation, and if that is several times the third largest within 7

@@ -90,7 +90,7 @@ def estimate_photons(
     white_rate: float | int = 0.6,
     bad_pixels: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """N of `Noise` from how unevenly pixels fire.
+    """Estimates N of `Noise` from the irregularity of the intervals.
 
     Of three neighbouring intervals, d₁ − 2 d₂ + d₃ is free of even changes of the light. Read-out in whole frames alone
     gives it variance 20/12; shot noise adds 6 n² / (N θ) for intervals of n frames. Summed over the quarter of the

@@ -36,7 +36,7 @@ _READOUT_RATES = (1e-3, 1e12)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Binary frames of a spike camera with what is known of the camera.
+    """Binary frames of a spike camera, with the properties of the camera that are known.
 
     **Fields:**
     - `source`: where the (T, h, w) spikes are read from. Use `Recording.from_array` or `read_recording` rather than

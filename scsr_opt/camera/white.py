@@ -27,24 +27,24 @@ class WhiteSettings(Settings):
     above_zero = frozenset({"windows", "window_frames", "known_pixels"})
 
     quantile: float = 0.997
-    """Share of the known light that is below white: what is left are glints and what noise adds."""
+    """Share of the known light that is below white: the rest are glints, and light that noise adds."""
     nominal_within: float = 0.1
-    """Relative distance from 1 within which white stays 1: a picture that reaches white is shown as it is."""
+    """Relative distance from 1 within which white stays 1."""
     least_of_median: float = 2.0
-    """White, at least, in medians of the known light (1 at most): a picture that is grey all over stays grey."""
+    """Least white, in medians of the known light (1 at most), so that a picture that is grey all over stays grey."""
     least_spikes: float = 4.0
-    """White, at least, in spikes of a pixel in all frames (intensity 1 at most): what is darker is mostly noise."""
+    """Least white, as spikes of a pixel in all frames (intensity 1 at most): darker parts are mostly noise."""
     windows: int = 8
-    """Windows, at most, evenly over the frames, whose light is looked at: a scene may be bright at one moment."""
+    """Windows of frames, at most, spread evenly, whose light is measured: a scene may be bright at one moment only."""
     window_frames: int = 25
-    """Frames of a window at least: what is bright and small moves on in the mean of many."""
+    """Least number of frames of a window: in a mean over too many, small bright objects would be blurred by motion."""
     window_spikes: float = 16.0
-    """Spikes of a bright pixel in a window at least; in dim light it has more frames."""
+    """Least number of spikes of a bright pixel in a window; in dim light a window has more frames."""
     saturating_share: float = 0.85
-    """Share of the light that saturates a pixel from which on white is that, where more pixels are saturated than may
-    be above white: there is no more to see between the two."""
+    """Share of the light that saturates a pixel from which on white is that light, if more pixels are saturated than
+    may be above white: intensities between the two cannot be told apart."""
     known_pixels: int = 16
-    """Known pixels, at least, to find white by."""
+    """Pixels with known light, at least, for white to be found."""
 
 
 @dataclass(frozen=True)

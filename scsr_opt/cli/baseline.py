@@ -48,8 +48,8 @@ def baseline(
         Method,
         Parameter(
             help="conventional-camera: one exposure of 1/120 s; tfp, tfi, stp: playback (see scsr play), enlarged "
-            "(-bicubic) or by super-resolution of that one picture (-sr); shift-and-add: measurements averaged where "
-            "the motion puts them; mgsr: the paper's predecessor."
+            "(-bicubic) or by super-resolution of that one picture (-sr); shift-and-add: measurements averaged at "
+            "their places along the motion; mgsr: the method MGSR (Zhao et al., 2021)."
         ),
     ] = "mgsr",
     scale: Annotated[
@@ -57,7 +57,9 @@ def baseline(
     ] = 4,
     key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
-    gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    gamma: Annotated[
+        float, Parameter(help="Store intensity^(1/gamma): 1 is linear; 2.2 is what viewers expect.")
+    ] = 1.0,
     white: ShownWhite = None,
     reading: Reading | None = None,
     overwrite: Overwrite = False,

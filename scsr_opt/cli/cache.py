@@ -36,7 +36,7 @@ def cache(
 def warm(
     *,
     size: Annotated[str, Parameter(help="WIDTHxHEIGHT of the sensor in pixels, such as 400x250.")],
-    scale: Annotated[Whole, Parameter(help="Pixels of the picture per sensor pixel, each way.")] = 4,
+    scale: Annotated[Whole, Parameter(help="Pixels of the picture per sensor pixel, along each axis.")] = 4,
     frames: Annotated[Whole | None, Parameter(help="Frames around the key frame. Default: those of `solve`.")] = None,
     quiet: Quiet = False,
 ) -> int:

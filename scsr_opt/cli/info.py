@@ -22,7 +22,7 @@ def info(
     json: Annotated[bool, Parameter(negative="", show_default=False, help="Print the numbers as JSON.")] = False,
     quiet: Quiet = False,
 ) -> int:
-    """Show what is in a recording: size, duration, firing rates, pixels that look wrong.
+    """Show what is in a recording: size, duration, firing rates, pixels that look faulty.
 
     Intensity 1 is the light of a pixel that fires at the white rate (--white-rate). The intensity that 8-bit pictures,
     figures and films show as white is found from the recording.

@@ -47,14 +47,16 @@ ShownWhite = Annotated[
     float | None,
     Parameter(
         help="Intensity that 8-bit .png, figures and films show as white; 1 is the light of a pixel that fires at the "
-        "white rate. Default: almost the brightest light of the recording. Other files hold intensity as it is."
+        "white rate. Default: a value near the brightest light of the recording. Other files hold intensity as it is."
     ),
 ]
 
 Overwrite = Annotated[
     bool,
     Parameter(
-        negative="", show_default=False, help="Replace files that are there already; without it they are refused."
+        negative="",
+        show_default=False,
+        help="Replace files that exist already; without this option the command refuses to.",
     ),
 ]
 
@@ -68,7 +70,7 @@ class Reading:
         str | None,
         Parameter(
             help="WIDTHxHEIGHT of the sensor in pixels, such as 400x250. Needed for a .dat file whose name or "
-            "config.yaml does not hold it, and for an array of which it is not certain which axis is time."
+            "config.yaml does not state it, and for an array whose time axis cannot be told from its content."
         ),
     ] = None
     flip: Annotated[
@@ -80,8 +82,8 @@ class Reading:
     row_bits: Annotated[
         Whole | None,
         Parameter(
-            help="Bits per row of a .dat file in which some are no pixels, such as 416 for 400 columns. Default: found "
-            "by the file's length and content."
+            help="Bits per row of a .dat file whose rows are padded, such as 416 for 400 columns. Default: found from "
+            "the file's length and content."
         ),
     ] = None
     array: Annotated[
@@ -98,22 +100,22 @@ class Reading:
         Path | None,
         Parameter(
             help="A .npy file with a (height, width) mask of the whole sensor, upright; pixels marked 1 are not used, "
-            "and no others are searched for. Default: the file's, and those that the recording shows."
+            "and no others are searched for. Default: those that the recording's file marks or its spikes show."
         ),
     ] = None
     calibration: Annotated[
         Path | None,
         Parameter(
-            help="An .npz of scsr calibrate, of the whole sensor: bad pixels that are not used, gains, and dark levels "
-            "that are subtracted."
+            help="An .npz file of scsr calibrate, of the whole sensor: its bad pixels are not used, measurements are "
+            "divided by its gains, and its dark levels are subtracted."
         ),
     ] = None
     crop: Annotated[
         str | None,
         Parameter(
             allow_leading_hyphen=True,
-            help="TOP,LEFT,HEIGHT,WIDTH of the part of the sensor to use, in its pixels, such as 0,100,120,200; the "
-            "rest is as if it were not there. Default: all.",
+            help="TOP,LEFT,HEIGHT,WIDTH of the part of the sensor to use, in sensor pixels, such as 0,100,120,200; the "
+            "rest is ignored. Default: the whole sensor.",
         ),
     ] = None
 

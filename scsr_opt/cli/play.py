@@ -66,7 +66,9 @@ def play(
     ] = None,
     rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = _RATE,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
-    gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    gamma: Annotated[
+        float, Parameter(help="Store intensity^(1/gamma): 1 is linear; 2.2 is what viewers expect.")
+    ] = 1.0,
     white: ShownWhite = None,
     reading: Reading | None = None,
     overwrite: Overwrite = False,
@@ -74,8 +76,8 @@ def play(
 ) -> int:
     """Show a recording as a picture of one moment, or as a film.
 
-    Films and 8-bit pictures show almost the brightest light of the recording as white (see --white), and are linear
-    unless --gamma is given. Other files hold intensity as it is, 1 = white.
+    Films and 8-bit pictures show a value near the brightest light of the recording as white (see --white), and are
+    linear unless --gamma is given. Other files hold intensity as it is, 1 = white.
     """
     from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _PICTURES = 25
 
 _OUTPUT = (
-    ".zarr: a store, which a run that was ended goes on with; a name without an ending: a folder, numbered pictures in "
-    "images/ and times.csv; .npz, .npy: arrays (T, H, W), float; .mp4, .gif: a film."
+    ".zarr: a store, with which an interrupted run can continue; a name without an ending: a folder with numbered "
+    "pictures in images/ and times.csv; .npz, .npy: arrays (T, H, W), float; .mp4, .gif: a film."
 )
 Bits = Annotated[
     Whole | None,
@@ -27,7 +27,7 @@ Bits = Annotated[
 ]
 Gamma = Annotated[
     float | None,
-    Parameter(help="Of a film and of .png: store intensity^(1/gamma). Default: 1, linear; 2.2 is for looking at."),
+    Parameter(help="Of a film and of .png: store intensity^(1/gamma). Default: 1, linear; 2.2 is what viewers expect."),
 ]
 Rate = Annotated[float | None, Parameter(help="Pictures per second of a film. Default: 25.")]
 
@@ -51,12 +51,13 @@ def sequence(
     group: Annotated[
         Whole,
         Parameter(
-            help="Pictures that are solved for one after the other, each from the one before. A group starts afresh; "
-            "what a kill loses, and what a worker gets, is a group."
+            help="Pictures in a group. The pictures of a group are solved for one after the other, each from the one "
+            "before; the first starts from nothing. An interruption costs one group at most; a worker gets one group "
+            "at a time."
         ),
     ] = 10,
     workers: Annotated[
-        Whole | None, Parameter(help="Solve in this number of processes. Default: in this one. Pictures are the same.")
+        Whole | None, Parameter(help="Solve in this number of processes; the pictures are the same. Default: in one.")
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -74,12 +75,12 @@ def sequence(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
-    """Solve for the super-resolved pictures of many moments, each starting from what is known of the one before.
+    """Solve for the super-resolved pictures of many moments, each starting from the motion of the one before.
 
-    Motion is carried on from picture to picture and estimated anew where the recording contradicts it. A run that was
-    ended in any way goes on where it was when the same command is given again, and the pictures are the same, bit for
-    bit, as without the interruption. Where the output is no .zarr, pictures are kept in
-    OUTPUT.unfinished.zarr until all are there.
+    The motion is carried on from picture to picture, and estimated again where the recording contradicts it. A run that
+    was interrupted continues when the same command is given again, and its pictures are the same, bit for bit, as those
+    of an undisturbed run. Unless the output is a .zarr, pictures are kept in OUTPUT.unfinished.zarr until all of them
+    are solved for.
     """
     from scsr_opt.sequences.outputs import SequenceFormat, real_time
 

@@ -43,8 +43,9 @@ class Motion:
     scene: Annotated[
         Kind,
         Parameter(
-            help="static; translation: all moves alike; affine: drifts, turns, grows; object: an ellipse passes before "
-            "a still background; disc: one turns there; video: frames, faded into each other."
+            help="static: nothing moves; translation: the picture moves past; affine: it moves, turns and grows; "
+            "object: an elliptical object passes before a still background; disc: a disc turns before one; video: the "
+            "frames of a video, faded into each other."
         ),
     ] = "translation"
     velocity: Annotated[
@@ -54,7 +55,7 @@ class Motion:
     rotation: Annotated[
         float | None, Parameter(help="Radians per frame, clockwise. Default: 0.002, for disc 0.0068.")
     ] = None
-    zoom: Annotated[float | None, Parameter(help="Relative growth per frame. Default: 0.")] = None
+    zoom: Annotated[float | None, Parameter(help="Relative growth per frame of an affine scene. Default: 0.")] = None
     shear: Annotated[float | None, Parameter(help="Columns per row and frame. Default: 0.")] = None
     radius: Annotated[float | None, Parameter(help="Of the disc, sensor pixels. Default: 0.4 of the shorter side.")] = (
         None
@@ -280,7 +281,7 @@ def _check(
     if true_velocity is not None and true_velocity.suffix.lower() != ".npy":
         raise InputError(f"--true-velocity {true_velocity} must end in .npy.")
     if true_velocity is not None and motion.scene == "video":
-        raise InputError("--true-velocity cannot be had for a video: nobody knows how the things in it moved.")
+        raise InputError("--true-velocity cannot be had for a video, whose motion is not known: leave it out.")
 
 
 def _write_velocity(path: Path, velocity: Any) -> None:

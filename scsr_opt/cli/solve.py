@@ -48,7 +48,9 @@ def solve(
         Whole | None, Parameter(help="Use only this number of frames around the key frame. Default: 101.")
     ] = None,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel: 8 or 16; 32 (float) for .tif.")] = None,
-    gamma: Annotated[float, Parameter(help="Store intensity^(1/gamma): 1 is linear, 2.2 is for looking at.")] = 1.0,
+    gamma: Annotated[
+        float, Parameter(help="Store intensity^(1/gamma): 1 is linear; 2.2 is what viewers expect.")
+    ] = 1.0,
     white: ShownWhite = None,
     report: Annotated[Path | None, Parameter(help="Also write a report in numbers (.json).")] = None,
     figure: Annotated[
@@ -66,9 +68,9 @@ def solve(
     """Solve for the super-resolved picture of one moment.
 
     The picture has SCALE times the sensor's rows and columns. Frames before and after the key frame add detail through
-    the motion between them. An 8-bit .png shows almost the brightest light of the recording as white (see --white).
-    Other files hold intensity as it is, 1 = white; all but floating-point files are cut to 0..1. An .npz also holds the
-    motion that was used.
+    the motion between them. An 8-bit .png shows a value near the brightest light of the recording as white (see
+    --white). Other files hold intensity as it is, 1 = white; all but floating-point files are cut to 0..1. An .npz also
+    holds the motion that was used.
     """
     from scsr_opt.report.pictures import PictureFormat
 

@@ -42,55 +42,62 @@ class Solving:
         str,
         Parameter(
             allow_leading_hyphen=True,
-            help="auto: the simplest that fits (none, global, or layers with occlusion); none: nothing moves; phase: "
-            "one translation; global: one motion for all, affine or perspective as the recording asks; "
-            "dense: velocity and acceleration for each pixel; ilk, tvl1: a velocity for each; DOWN,RIGHT: this "
-            "velocity, sensor pixels per frame; FILE.npy: (2, height, width) of them.",
+            help="auto: the simplest motion that explains the recording (none, global, layers with occlusion, dense); "
+            "none: nothing moves; phase: one translation; global: one translation, affine or perspective motion for "
+            "the whole scene; dense: velocity and acceleration of each pixel; ilk, tvl1: a velocity for each pixel; "
+            "DOWN,RIGHT: this velocity, sensor pixels per frame; FILE.npy: velocities of shape (2, height, width).",
         ),
     ] = "auto"
     refine: Annotated[
-        Whole, Parameter(help="How often the motion is refined against the picture, which is then solved again.")
+        Whole,
+        Parameter(
+            help="How many times the motion is fitted again to the solved picture, which is then solved for again."
+        ),
     ] = 0
     light: Annotated[
         Literal["mean", "key", "constant"],
         Parameter(
             help="Where lamps flicker, show the scene at its mean light, or at that of the key frame; constant: do not "
-            "look for flicker."
+            "search for flicker."
         ),
     ] = "mean"
     samples: Annotated[
-        str, Parameter(help="What is measured: intervals between spikes, or windows:N, spikes counted over N frames.")
+        str,
+        Parameter(
+            help="How intensity is measured: intervals between spikes, or windows:N, counts of spikes over N frames."
+        ),
     ] = "intervals"
     robust: Annotated[
-        Robust | None, Parameter(help="Down-weight measurements that disagree with the picture. Default: all alike.")
+        Robust | None, Parameter(help="Down-weight measurements that disagree with the picture. Default: do not.")
     ] = None
     gain: Annotated[
         str,
         Parameter(
-            help="Fixed pattern: FILE.npy with (height, width) gains, around 1, of the sensor or the crop; blind: as "
-            "estimated from the recording; auto: the same, used only if a pattern is found; none: all pixels alike."
+            help="Gains of the pixels. FILE.npy: (height, width) numbers around 1, of the sensor or the crop; blind: "
+            "estimated from the recording; auto: likewise, but used only if a fixed pattern is found; none: all 1."
         ),
     ] = "auto"
     optics: Annotated[
         str | None,
         Parameter(
-            help="The lens's blur: a standard deviation in sensor pixels; estimate: from the recording, if it moves. "
-            "Default: none."
+            help="Blur of the lens: a standard deviation in sensor pixels; estimate: from the recording, if the scene "
+            "moves. Default: no blur."
         ),
     ] = None
     quality: Annotated[
         Literal["fast", "best"],
         Parameter(
-            help="best: a network restores the picture, which is then solved for again about the network's, so that "
-            "the data are met: sharper, in two to three times the time; for --scale 2 and 4."
+            help="best: a network improves the picture, and a second solve, with a prior around the network's picture, "
+            "makes it agree with the data: a better picture in two to three times the time, for --scale 2 and 4."
         ),
     ] = "fast"
     prior: Annotated[
         Prior | None,
         Parameter(
-            help="What the picture is assumed to be like: ridge: as learned from photographs; huber: flat, with edges "
-            "and soft shading; tv: flat, with edges; tgv: slopes with edges; bilateral, wavelet: alike over several "
-            "scales; nl-means, red: with texture that repeats (slow). Default: ridge up to --scale 3, above it huber."
+            help="Which pictures are taken to be likely. ridge: those like photographs (learned); huber: flat parts, "
+            "edges and soft shading; tv: flat parts and edges; tgv: slopes and edges; bilateral, wavelet: smooth at "
+            "several scales; nl-means, red: texture that repeats (slow). Default: ridge up to --scale 3, above it "
+            "huber."
         ),
     ] = None
     bounds: Annotated[
@@ -102,22 +109,22 @@ class Solving:
     strength: Annotated[
         float | None,
         Parameter(
-            help="Strength of the prior (lambda). Default: the one that predicts left-out measurements best; with "
-            "--robust, the one that follows from their noise."
+            help="Strength of the prior (lambda). Default: by cross-validation on held-out measurements; with "
+            "--robust, from their noise."
         ),
     ] = None
     solver: Annotated[
         Solver,
         Parameter(
-            help="All find the same picture where the prior is convex. auto: fista, or where nothing moves and no "
-            "--iterations are given, data-proximal; ista: plain Eq. 5. data-proximal, nonlinear-cg and lbfgs are for "
-            "--prior ridge and huber."
+            help="All solvers find the same picture if the prior is convex. auto: fista, or data-proximal if nothing "
+            "moves and no --iterations are given; ista: Eq. 5 of the paper. data-proximal, nonlinear-cg and lbfgs are "
+            "for --prior ridge and huber."
         ),
     ] = "auto"
     iterations: Annotated[
         Whole | None,
         Parameter(
-            help="Iterations at most, in each solve. Default: 200, for condat-vu and chambolle-pock 400, for "
+            help="Largest number of iterations of each solve. Default: 200, for condat-vu and chambolle-pock 400, for "
             "jaxopt-ista and jaxopt-fista 100."
         ),
     ] = None

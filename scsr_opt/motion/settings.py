@@ -18,9 +18,10 @@ class FrameSettings(Settings):
     most_pictures: int = 25
     """Short pictures of a recording, at most: every comparison costs time in proportion to their number."""
     frames_per_picture: int = 4
-    """Frames of the recording per short picture, at least: shorter ones would share the intervals of most pixels."""
+    """Frames of the recording per short picture, at least: in shorter ones most pixels would share their intervals with
+    the next."""
     trimmed_from_frames: int = 16
-    """Frames from which on the ends of a recording are left out of the pictures; a shorter one has none to spare."""
+    """Frames from which on the ends of a recording are left out of the pictures; shorter recordings are used whole."""
     measured_pixels_share: float = 0.85
     """Share of the pixels that must have fired before the first picture begins, and fire again after the last one."""
     trimmed_share: float = 0.2
@@ -38,7 +39,8 @@ class ComparisonSettings(Settings):
     above_zero = frozenset({"window_px", "presmoothing_px", "neighbourhood_px"})
 
     presmoothing_px: float = 1.0
-    """Gaussian presmoothing before pictures are compared: aliasing between pixels is then no disagreement."""
+    """Gaussian presmoothing of pictures before they are compared, so that aliasing between pixels does not count as
+    disagreement."""
     presmoothing_cutoff_sigmas: float = 4.0
     """Standard deviations at which that Gaussian is cut off. A cut at 3 passes a little of all frequencies: two layers
     then seemed to serve an object as well as three did, at a loss of 1 dB."""
@@ -50,16 +52,17 @@ class ComparisonSettings(Settings):
     neighbourhood_px: float = 1.5
     """Gaussian neighbourhood that decides together where edges have to stay in place (labels, squared residuals)."""
     residual_cap: float = 6.0
-    """Largest squared residual that counts, in units of the noise variance: what is hidden for a while has a large
-    residual along any motion."""
+    """Largest squared residual that counts, in units of the noise variance: surfaces that are hidden for a while have
+    large residuals along any motion."""
     key_picture_frames: float = 10.0
-    """Distance from the key frame within which pictures are averaged to the one that a motion carries to all others."""
+    """Distance from the key frame within which pictures are averaged to the one that a motion moves to the moments of
+    all others."""
     picture_step: int = 3
     """Step from one predicted picture to the next where motions are compared."""
     sparse_step: int = 2
     """Step between rows and columns of a sparse grid of pixels."""
     least_side_px: int = 8
-    """Side below which a picture, or the overlap of two, has no room for a window or a correlation."""
+    """Least side of a picture, or of the overlap of two, for a window or a correlation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +77,12 @@ class EvidenceSettings(Settings):
     tolerated_share_at_rest: float = 0.001
     """Share of the pixels that may contradict that nothing moves."""
     smear_px: float = 1.4
-    """Motion between two spikes of a pixel, the diagonal of a pixel, above which the pixel is not observable: what
-    passes within an interval looks as if it stood still. Without this limit a tenth of the pixels contradicted a true
-    velocity of 0.3 px per frame by day; with 1 px a car in dim light was not detected."""
+    """Motion between two spikes of a pixel, the diagonal of a pixel, above which the pixel is not observable: surfaces
+    that pass within one interval seem to rest. Without this limit a tenth of the pixels contradicted a true velocity of
+    0.3 px per frame by day; with 1 px a car in dim light was not detected."""
     spikes_at_rest: float = 2.0
-    """Spikes within the pictures from which on a pixel can be certainly at rest. With fewer, most pictures show one
-    and the same interval: up to four fifths of dim or short pans seemed to rest, with two 0.05 at most."""
+    """Spikes within the pictures from which on a pixel can be certainly at rest. With fewer, most pictures show the
+    same interval: up to four fifths of dim or short pans seemed to rest; with two spikes, 0.05 at most."""
     counted_moments: int = 3
     """Pictures in which a point has to be in view for its counts of spikes to be compared."""
     counts_variance_ratio: float = 0.98
@@ -122,16 +125,17 @@ class ChoiceSettings(Settings):
     """Contradicting pixels, or prediction residual, relative to the background's, below which a richer motion has
     clearly helped."""
     prediction_ratio: float = 0.97
-    """Prediction residual relative to that of the simpler motion below which a richer motion may be taken at all: more
-    numbers always fit a little better."""
+    """Prediction residual relative to that of the simpler motion below which a richer motion may be taken at all: a
+    motion with more parameters always fits a little better."""
     widespread_share: float = 0.1
-    """Share of the sensor that contradicts the background from which on any smaller residual is enough: of leaves in
-    the wind 38 % contradicted rest, 0.1 % the dense estimate, whose residual was smaller by 2 % only."""
+    """Share of the sensor that contradicts the background's motion from which on any smaller residual is enough: in a
+    clip of leaves in the wind 38 % contradicted rest and 0.1 % the dense estimate, whose residual was smaller by 2 %
+    only."""
     layer_interior_share: float = 0.5
     """Share of the sensor that has to lie away from edges between layers. Labels that are more scattered than that are
     not surfaces; the dense estimate was up to 3 dB better there."""
     layers_residual_ratio: float = 1.01
-    """Prediction residual of layers, relative to the dense estimate's, up to which they are preferred to it: they know
+    """Prediction residual of layers, relative to the dense estimate's, up to which layers are preferred: they model
     edges and occlusion."""
     layers_sufficient_ratio: float = 0.95
     """Prediction residual of layers, relative to the dense estimate's, below which the dense estimate is not tried as
@@ -140,16 +144,16 @@ class ChoiceSettings(Settings):
     """Margin around contradicting pixels within which separate motion is searched for: the widest window of the dense
     estimate reaches 18 pixels."""
     box_share: float = 0.6
-    """Share of the sensor up to which the box is used in the place of the whole sensor. Its size compiles ten programs
-    of its own, which a fifth of the work is not worth."""
+    """Share of the sensor up to which the box around moving parts is used instead of the whole sensor. A box compiles
+    ten programs of its own, which a fifth of the work does not repay."""
     sparse_from_pixels: int = 10_000
     """Pixels from which on motions are compared on a sparse grid. It gave the mean residual to 0.3 % at 400×250 pixels,
     but only to 2 % at 60×60, where that decided between two layers and three (0.2 dB)."""
     lit_ratio: float = 0.1
-    """Intensity relative to the mean from which on a pixel measures the light of a moment, and the least such light
-    relative to the brightest moment."""
+    """Intensity relative to the mean from which on a pixel is used to measure the light of a moment; also the least
+    light of a moment relative to the brightest one."""
     light_pixels: int = 4000
-    """Pixels, about, that measure the light of a moment: their median is exact enough."""
+    """Pixels, about, that are used to measure the light of a moment: their median is exact enough."""
     flicker_share: float = 0.02
     """Change of the light, relative to its median, from which on rest is tested on pictures without it."""
     flicker_residual_share: float = 0.05
@@ -172,7 +176,7 @@ class ParametricSettings(Settings):
     last_tolerance_ratio: float = 0.1
     """Tolerance of the last level relative to that of the others."""
     varying_px: float = 0.1
-    """Variation of a start over pixels and moments above which it is affine and not a translation."""
+    """Variation of a start over pixels and moments above which the fit is affine and not a translation."""
     agreeing_share: float = 0.5
     """Share of the scene's points whose residual sets the scale of outliers."""
     agreeing_share_region: float = 0.2
@@ -181,14 +185,14 @@ class ParametricSettings(Settings):
     outlier_scale: float = 3.0
     """Squared residual, in units of the agreeing points' largest, at which a point's weight begins to fall (Cauchy)."""
     sparse_step_divisor: int = 3
-    """Factor by which fewer steps are done with all points after a fit to a quarter of them."""
+    """Factor by which the number of steps with all points is reduced after a fit to a quarter of them."""
     least_points: int = 1024
-    """Points of the key frame at which pictures are compared: this number, 4 times it, and so on. Few numbers, so that
-    a compiled program serves many pictures and regions."""
+    """Points of the key frame at which pictures are compared: this number, 4 times it, and so on. There are few such
+    numbers, so that one compiled program serves many pictures and regions."""
     most_points: int = 16384
     """Points at most. Presmoothed pictures change little from pixel to pixel: a sixth of 400×250 pixels is enough."""
     blocks_per_side: int = 16
-    """Blocks along each side of the picture, whose separate gradients tell how certain a number is."""
+    """Blocks along each side of the picture, whose separate gradients give the uncertainty of a parameter."""
     firing_window_px: float = 2.0
     """Gaussian window over which rates of firing are averaged."""
     least_firing_rate: float = 0.001
@@ -197,7 +201,8 @@ class ParametricSettings(Settings):
     """Intervals between spikes that the pictures have to span for a point to have half of its weight: with fewer,
     several pictures show the same interval."""
     score_per_number: float = 7.5
-    """Score statistic, per number, from which on more numbers are fitted: p < 10⁻⁴ of a χ² value for 4 numbers."""
+    """Score statistic, per parameter, from which on more parameters are fitted: p < 10⁻⁴ of a χ² value for 4
+    parameters."""
     longest_step_ratio: float = 4.0
     """Largest extrapolation of a Gauss–Newton update whose series converges slowly."""
     growing_step_ratio: float = 2.0
@@ -213,9 +218,10 @@ class LayerSettings(Settings):
     least_pixels: int = 40
     """Pixels of a layer, at least."""
     fitted_pixels: int = 4000
-    """Pixels of a region, about, whose velocities an affine start is fitted to; the fit to pictures refines it."""
+    """Pixels of a region, about, to whose velocities an affine start is fitted; a fit to the pictures refines it."""
     voting_pixels: int = 500
-    """Pixels of a region, about, among whose velocities modes are searched for: time grows with their square."""
+    """Pixels of a region, about, among whose velocities the most frequent ones (modes) are searched for: time grows
+    with their square."""
     velocity_modes: int = 3
     """Velocities that a region is tried with, besides fits."""
     mode_width: float = 0.02
@@ -235,36 +241,38 @@ class LayerSettings(Settings):
     dense_share: float = 0.01
     """Share of the sensor that no layer explains from which on the dense estimate is one more layer."""
     closing_px: int = 3
-    """Half the gap up to which parts of what contradicts the background are one region."""
+    """Half the gap up to which parts that contradict the background are one region."""
     edge_px: int = 3
-    """Distance from the edge of a layer within which pixels show something of the next. Fitted with its edge, an object
-    became 2 % too slow."""
+    """Distance from the edge of a layer within which pixels also see the next layer. When fitted with its edge, an
+    object became 2 % too slow."""
     presmoothing_px: float = 0.6
-    """Presmoothing of the pictures that labels are found by: small, so that edges stay in place."""
+    """Presmoothing of the pictures from which labels are found: small, so that edges stay in place."""
     support_px: float = 1.2
     """Gaussian window over which mismatches are averaged before labels are found."""
     key_picture_frames: float = 6.0
-    """Standard deviation of the Gaussian in time whose mean is the key frame's picture that labels are found by."""
+    """Standard deviation of the Gaussian in time whose mean is the key frame's picture for finding labels."""
     least_weight: float = 1e-4
     """Weight in that mean below which a picture is left out."""
     late_frames: float = 20.0
-    """Distance from the key frame up to which a picture's mismatch counts less: near it all motions agree."""
+    """Distance from the key frame up to which a picture's mismatch counts less, because near it all motions agree."""
     better_side_weight: float = 0.7
     """Weight of the better of the times before and after the key frame in a mismatch: a surface that is hidden later
-    was in view before, or the other way round."""
+    may have been in view before, or the other way round."""
     order_penalty: float = 0.15
-    """Mismatch that a motion has to gain over each one found before it: where all fit, the simplest is taken."""
+    """Mismatch by which a motion has to be better than each motion found before it, so that the simplest is taken where
+    all fit."""
     top_speed_quantile: float = 0.95
-    """Quantile of the speeds of what moves that stands for the fastest, single errors aside."""
+    """Quantile of the speeds of moving pixels that is taken as the largest speed, so that single errors do not
+    count."""
     top_speed_ratio: float = 1.5
-    """Speed of a layer's motion, relative to the fastest that was seen, above which it is not taken: an affine motion
-    goes on growing outside the region that it was fitted to."""
+    """Speed of a layer's motion, relative to that largest speed, above which the motion is rejected: an affine motion
+    grows outside the region that it was fitted to."""
     neighbour_gain: float = 1.4
-    """Mismatch that a pixel gains by having the label of its whole neighbourhood."""
+    """Reduction of the mismatch of a pixel that has the label of its whole neighbourhood."""
     most_label_turns: int = 12
     """Iterations of the labelling, at most."""
     border_share: float = 0.25
-    """Share of an isolated part's border that a layer has to make up to take that part over."""
+    """Share of an isolated part's border that a layer has to have to take over that part."""
     undecided_mismatch: float = 0.15
     """Mismatch up to which the layer that takes a part over may be worse there."""
     vote_cap: float = 0.02
@@ -279,29 +287,30 @@ class DenseSettings(Settings):
     presmoothing_px: tuple[float, float, float, float] = (2.0, 1.5, 1.0, 0.8)
     """Gaussian presmoothing at each level of `near_times_frames`; the last one serves accelerations, too."""
     window_px: tuple[float, float, float, float] = (6.0, 4.0, 3.0, 2.5)
-    """Gaussian window of the least squares for velocities at each level: wide where little has moved."""
+    """Gaussian window of the least squares for velocities at each level: wide at the levels with little
+    displacement."""
     steps: tuple[int, int, int, int] = (8, 6, 6, 6)
     """Gauss–Newton steps at each level."""
     acceleration_window_px: float = 6.0
-    """Gaussian window of the least squares for accelerations, wider as they are known less well than velocities."""
+    """Gaussian window of the least squares for accelerations, wider because these are less certain than velocities."""
     accelerated_window_px: float = 4.0
-    """Gaussian window of the velocities that are found in turns with accelerations."""
+    """Gaussian window of the velocities that are found alternately with accelerations."""
     acceleration_turns: int = 3
-    """Turns of accelerations and velocities."""
+    """Alternations of accelerations and velocities."""
     acceleration_chance: float = 0.05
-    """Squared acceleration times its information that is noise where nothing accelerates (mean of pans by day), for
-    each picture that one interval of a pixel lasts: these share its noise."""
+    """Squared acceleration times its information that noise causes where nothing accelerates (mean of pans by day), per
+    picture that one interval of a pixel lasts: these pictures share their noise."""
     least_picture_share: float = 0.001
     """Least share of an interval that a picture is taken to last, where pixels hardly fire."""
     median_side_px: int = 5
-    """Side of the square whose median replaces each velocity after a level: single wrong windows are outvoted."""
+    """Side of the square whose median replaces each velocity after a level, which removes single wrong velocities."""
     prior_weight: float = 0.01
-    """Information of the prior that the velocity is near its start: decides only where there is no texture."""
+    """Information of the prior that the velocity is near its start; it matters only where there is no texture."""
     prior_px: float = 2.0
-    """Displacement over the recording to within which the start is taken to be known."""
+    """Displacement over the recording within which the start is taken to be right."""
     step_margin_px: float = 0.5
-    """Displacement beyond the presmoothing, at the farthest moment, up to which one step may go: further, the
-    linearisation does not hold."""
+    """Displacement beyond the presmoothing, at the farthest moment, up to which one step may go, as the linearisation
+    does not hold further."""
     followed_share: float = 0.5
     """Side of the picture, relative to the displacement over the recording, up to which a pixel can be followed."""
 
@@ -349,11 +358,11 @@ class ReliabilitySettings(Settings):
     chance_ratio: float = 3.0
     """Squared difference, in units of the noise of one picture, up to which pictures agree; it is 2 by chance."""
     error_weight: float = 8.0
-    """How many times an error of the motion counts: it is the same for many samples and does not average out as noise
-    does. From 4 to 10 video clips gained 0.1 to 0.2 dB, layered scenes lost 0.05 dB."""
+    """Factor by which an error of the motion counts more than noise: it is the same for many samples and does not
+    average out. From 4 to 10 video clips gained 0.1 to 0.2 dB, layered scenes lost 0.05 dB."""
     steady_worth: float = 0.5
-    """Least worth from which on what rests has its mean worth at all times: one merged measurement then serves it, and
-    the weights left out would have lessened an error by half at most."""
+    """Least trust from which on pixels at rest have their mean trust at all times, so that one merged measurement
+    suffices. The differences of weights would have reduced an error by half at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,18 +372,18 @@ class ReachSettings(Settings):
     above_zero = frozenset({"step", "window_px", "blend_px", "turns"})
 
     step: float = 2**0.5
-    """Ratio of one reach to the next that is tried: the light that is gathered falls by as much, its noise by half of
+    """Ratio of successive reaches that are tried: the light that is gathered falls by that ratio, its noise by half of
     that or less."""
     least_near: float = 2.0
-    """Shortest reach, in reaches of the pictures next to the key frame, by which reaches are judged: half of the others
-    at least are not among these."""
+    """Shortest reach, relative to that of the pictures next to the key frame with which all are compared: at least half
+    of its pictures are not among these."""
     turns: int = 2
-    """Turns of accelerations and velocities of each fit, which begins at that of the reach before."""
+    """Alternations of accelerations and velocities in each fit, which begins at the fit for the reach before."""
     window_px: float = 12.0
     """Gaussian window over which squared errors are averaged: some 1800 pixels, of which presmoothing leaves 150
-    independent ones. A squared error is then known to an eighth; with narrower windows chance chose."""
+    independent ones. A squared error is then known to an eighth; with narrower windows noise decided."""
     least_share: float = 0.05
-    """Share of the pixels for which a shorter reach has to be the best one; for fewer, no shorter one is tried."""
+    """Share of the pixels for which a shorter reach has to be better; with fewer, no shorter one is tried."""
     blend_px: float = 3.0
     """Gaussian window over which fields of several reaches are blended, that of comparisons."""
 
@@ -386,77 +395,81 @@ class LightSettings(Settings):
     above_zero = frozenset({"tile_px", "most_tiles", "frames_per_picture", "steps_of_a_velocity", "dark_rate"})
 
     tile_px: int = 16
-    """Side of a tile whose course of light is found."""
+    """Side of a tile whose light is estimated as a function of time (its course)."""
     most_tiles: int = 64
-    """Tiles that tell whether the light changes, and how often, at most."""
+    """Tiles, at most, from which it is decided whether the light changes."""
     least_frames: int = 24
-    """Frames of a clip from which on changes of the light are looked for."""
+    """Frames of a clip from which on changes of the light are searched for."""
     least_side_px: int = 8
-    """Side of the sensor from which on they are."""
+    """Side of the sensor from which on they are searched for."""
     frames_per_picture: int = 4
     """Frames of a short picture; light that changes twice within fewer than that is not followed."""
     least_pictures: int = 6
-    """Short pictures that have to be there."""
+    """Short pictures, at least, for that search."""
     measured_share: float = 0.85
     """Share of the pixels that must have fired before the first picture begins, and fire again after the last one."""
     presmoothing_px: float = 1.0
-    """Gaussian presmoothing of the pictures: noise in their slopes would make motions look slower than they are."""
+    """Gaussian presmoothing of the pictures: noise in their slopes would make motions seem too slow."""
     steps_of_a_velocity: int = 25
-    """Steps from picture to picture in which a tile has one velocity."""
+    """Steps from picture to picture for which a tile has one velocity."""
     dark_rate: float = 0.01
-    """Spikes per frame that are added to a pixel's mean where its noise is estimated by it."""
+    """Spikes per frame that are added to a pixel's mean when its noise is estimated from the mean."""
     saturated_rate: float = 0.85
-    """Spikes per frame from which on a pixel does not tell more light from less."""
+    """Spikes per frame from which on a pixel cannot measure an increase of light."""
     least_change: float = 0.01
-    """Standard deviation of a tile's light, relative to its mean, from which on it may change."""
+    """Standard deviation of a tile's light, relative to its mean, from which on it counts as changing."""
     agreement: float = 2.0
-    """How much larger than the difference from the tiles beside it a tile's change has to be."""
+    """Least ratio of a tile's change to the difference from the tiles beside it."""
     least_share: float = 0.3
-    """Share of the tiles whose light changes as that beside them does from which on the light changes: at most 0.2 of
-    scenes without flicker but one, 0.25 and more with 10 % of flicker."""
+    """Share of the tiles whose light changes like that beside them, from which on the light changes: at most 0.2 in
+    scenes without flicker (except for one), 0.25 and more with 10 % of flicker."""
     least_common_change: float = 0.007
-    """Standard deviation of the mean course, relative to the mean light, from which on it may change."""
+    """Standard deviation of the mean course, relative to the mean light, from which on it counts as changing."""
     deviations: float = 4.0
-    """Deviations, by those of the tiles, by which it has to."""
+    """Standard deviations, by the spread of the tiles, that the mean course has to change by."""
     least_common_share: float = 0.2
-    """Share of the tiles that have to agree for the mean course to tell. Without this limit and the next one, eight of
-    135 steady scenes of 6 to 16 tiles were taken for flicker, with them one."""
+    """Share of the tiles that have to agree for the mean course to count. Without this limit and the next one, flicker
+    was found in eight of 135 scenes of 6 to 16 tiles in steady light, with them in one."""
     least_tiles: int = 3
     """Tiles that have to agree: all of 6 and 12 did at 10 % of flicker, two of 6 in three of 45 steady scenes."""
     suspicious_ratio: float = 0.4
-    """Share of the limits of tiles, change and deviations from which on more frames than the clip's decide, where there
-    are more."""
+    """Share of the limits of tiles, change and deviations from which on more frames than those of the clip are used, if
+    there are more."""
     tracked_share: float = 0.5
-    """Share of a tile's pixels whose motion must not have left the sensor for a picture to tell the tile's light."""
+    """Share of a tile's pixels whose motion must not have left the sensor for a picture to measure the tile's light."""
     tracked_agreement: float = 1.2
-    """`agreement`, where brightness is followed along the motion: 1.1 to 4 in a shadow, below 1.1 in all of 30 steady
-    scenes but for a tile with an object."""
+    """`agreement` for brightness that is followed along the motion: 1.1 to 4 in a shadow, below 1.1 in all of 30 scenes
+    in steady light except for a tile with an object."""
     most_variance_ratio: float = 1.02
-    """Variance along the motion that is found with the light, at most, over that along the motion found without: 0.05
-    to 0.99 of thirty scenes at 10 % of flicker, 1.05 to 1.16 of four of 110 steady pans that were taken for it."""
+    """Largest ratio of the variance along the motion found with the light to that along the motion found without it:
+    0.05 to 0.99 in thirty scenes with 10 % of flicker, 1.05 to 1.16 in four of 110 pans in steady light in which
+    flicker had been found."""
     margin_frames: int = 32
-    """Frames before and after a clip that are looked at with it: at its ends many pixels are between no two spikes."""
+    """Frames before and after a clip that are used with it: at its ends many pixels lie outside any interval."""
     stretch_frames: int = 801
-    """Frames around the key frame that tell how often light changes, and its mean: two cycles of a lamp at 100 Hz, read
-    out 40,000 times a second."""
+    """Frames around the key frame from which the frequency and the mean of the light are estimated: two cycles of a
+    lamp at 100 Hz, read out 40,000 times a second."""
     least_cycles: float = 0.7
-    """Cycles that have to be seen for a frequency to be told."""
+    """Cycles, at least, for a frequency to be estimated."""
     explained_share: float = 0.9
     """Share of the variance that a wave of that frequency has to explain."""
     most_lamps: int = 3
-    """Lamps of a course of their own, at most."""
+    """Lamps with a course of their own, at most."""
     lamp_share: float = 0.15
-    """Share of the tiles that have to differ from the common light as those beside them do for one more lamp."""
+    """Share of the tiles that have to differ from the common light in the same way as those beside them, for one more
+    lamp."""
     lamp_rounds: int = 2
-    """Times that these shares are found along a motion, which is then estimated again."""
+    """Rounds in which these shares are found along a motion, which is then estimated again."""
     edge_px: float = 1.5
     """Standard deviation of the window in which a pixel's share of each lamp is found along the motion."""
     apart_tolerance: float = 0.15
-    """Distance from either of two shares, in units of their difference, within which a pixel counts as lit by one."""
+    """Distance from either of two shares, in units of their difference, within which a pixel counts as lit by one
+    lamp."""
     apart_share: float = 0.6
-    """Share of such pixels from which on every pixel is lit by one or the other lamp."""
+    """Share of such pixels from which on every pixel is assigned to one of the two lamps."""
     edge_median_px: int = 5
-    """Side of the square whose median share a pixel then gets: edges of lamps stay, single pixels do not."""
+    """Side of the square whose median share a pixel then gets: edges between lamps remain, single pixels are
+    removed."""
 
 
 @dataclass(frozen=True, kw_only=True)

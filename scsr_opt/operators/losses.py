@@ -51,7 +51,7 @@ class Loss(eqx.Module):
 
 
 class Huber(Loss):
-    """ρ(e) = ½ e² up to the threshold c, c |e| − ½ c² beyond (Huber, 1964): a sample's pull grows no further.
+    """ρ(e) = ½ e² up to the threshold c, c |e| − ½ c² beyond (Huber, 1964): the influence of a sample is bounded.
 
     Convex: one minimum, wherever it starts.
     """
@@ -67,7 +67,7 @@ class Huber(Loss):
 
 
 class Welsch(Loss):
-    """ρ(e) = ½ c² (1 − exp(−(e/c)²)) (Dennis & Welsch, 1978): a sample that is far off has no pull at all.
+    """ρ(e) = ½ c² (1 − exp(−(e/c)²)) (Dennis & Welsch, 1978): a sample with a large residual has no influence.
 
     Not convex: start from a good picture, such as that of squares or `Huber`.
     """

@@ -45,15 +45,16 @@ class Shortcuts:
     its noise (docs/decisions/0019); `Shortcuts.none()` does all of the work, to compare with.
 
     **Fields:**
-    - `simple_motion`: a richer motion is not estimated where a simpler one contradicts nothing, and what moves apart
-      from the background is searched for only around the pixels that contradict the background.
-    - `merged_intervals`: the intervals of a pixel are merged while what it sees hardly moves, and an exposure gets
-      only the positions that its motion needs.
-    - `sensor_grid`: where nothing moves, samples lie on the sensor's grid, and the blurred picture is not computed in
-      between.
-    - `reused_sums`: M and c that were summed to find the strength are used again by the solve.
+    - `simple_motion`: a richer motion is not estimated if the recording does not contradict a simpler one, and objects
+      are searched for only around the pixels that contradict the motion of the background.
+    - `merged_intervals`: the intervals of a pixel are merged while the surface that it sees hardly moves, and an
+      exposure gets only the positions that its motion needs.
+    - `sensor_grid`: if nothing moves, samples lie on the sensor's grid, and the blurred picture is not computed between
+      its points.
+    - `reused_sums`: the solve uses M and c that were summed to find the strength.
     - `finished_tiles`: tiles of the picture whose residual is small are not iterated any further.
-    - `sampled_gains`: where some windows and some of the pixels show no fixed pattern, the others are not looked at.
+    - `sampled_gains`: if some windows and some of the pixels show no fixed pattern, the gains of the others are not
+      estimated.
     """
 
     simple_motion: bool = True
@@ -89,35 +90,36 @@ class Options:
       `Estimator` (`Still`, `Global`, `Dense`, `Automatic`, …). None: `Automatic`.
     - `bad_pixels`: (h, w), true or 1 where a pixel must not be used (added to those of the recording). "auto", the
       default, finds dead and hot pixels and dust from the recording (`scsr_opt.calibration.bad_pixels`); None for those
-      of the recording only.
-    - `samples`: how the Y_i are made: `Intervals()` if None, or `Windows(length)`, spikes counted over `length` frames.
-    - `gain`: of each pixel, (h, w); None for 1; or "blind" to find it from the recording: where the scene moves by a
-      pixel from a first picture, solving again, twice (`blind_gain`), elsewhere by what is known of pictures
-      (`gain_at_rest`). "auto", the default, solves again only where the gains found spread by more than they do by
-      chance (`GainSettings.pattern_spread`). Where gains are found or given, motion is estimated over them: a pattern
-      rests.
-    - `dark`: (h, w), spikes per frame that each pixel fires without any light; None for 0. It is subtracted from all
-      that is measured.
+      that the recording marks only.
+    - `samples`: how the Y_i are made: `Intervals()` if None, or `Windows(length)`, counts of spikes over `length`
+      frames.
+    - `gain`: gain of each pixel, (h, w); None for 1; or "blind" to estimate the gains from the recording. Where the
+      scene moves by a sensor pixel they follow from the solved picture, which is then solved for again, twice
+      (`blind_gain`); at rest a network estimates them (`gain_at_rest`). "auto", the default, does so only if the gains
+      spread by more than they do by chance (`GainSettings.pattern_spread`). With gains the motion is estimated on
+      measurements that are divided by them, because a fixed pattern rests.
+    - `dark`: (h, w), spikes per frame that each pixel fires without any light; None for 0. It is subtracted from every
+      measurement.
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `quality`: "fast", the default, or "best": a network restores the solution, and Eq. 4 is solved again with the
-      prior centred at its picture (`scsr_opt.pipeline.restoration`), in two to three times the time; where that
-      predicts held-out samples worse than the usual picture does, the usual one is solved for. A `Restoration` takes
-      the place of that network.
+      prior centred at the network's picture (`scsr_opt.pipeline.restoration`), in two to three times the time. If the
+      result predicts held-out samples worse than the picture without the network, the latter is solved for. A
+      `Restoration` takes the place of that network.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
     - `strength`: λ; if None, the one that predicts held-out intervals best (`StrengthSearch`), or, with a robust
-      loss, the one by their noise. `PlugAndPlay` needs one.
+      loss, the one that follows from the noise. `PlugAndPlay` needs one.
     - `robust`: ρ(e) in the place of e²/2: `Huber()` or `Welsch()`, by reweighting. No intervals are merged then.
     - `solver`: if None, `FISTA`, or where nothing moves `DataProximal` (`default_solver`). Its limit of iterations
       holds for the whole solve, corrections of exposures included; with `robust`, for each of up to eleven rounds.
-    - `refine`: how many times the motion is refined against the picture, and the picture solved for again.
+    - `refine`: how many times the motion is fitted again to the solved picture, and the picture solved for again.
     - `shortcuts`: the work that is left out where a scene does not need it.
     - `crop`: (top, left, height, width) of the part of the sensor that is solved for, sensor pixels; all if None.
       `bad_pixels`, `gain` and `dark` may be those of the whole sensor or of the part; `motion`, `optics` and `state`
       are those of the part.
-    - `light`: where lamps flicker or clouds pass, the picture is the scene at the "mean" light, of whole cycles where
-      light repeats, or at that of the "key" frame. "constant": changes of the light are not looked for.
-    - `keep_images`: every stage keeps its pictures.
+    - `light`: where lamps flicker or clouds pass, "mean" gives the scene at its mean light (over whole cycles if the
+      light is periodic), "key" at the light of the key frame. "constant": changes of the light are not searched for.
+    - `keep_images`: whether every stage keeps its pictures.
     - `settings`: thresholds of every stage, which rarely need to be changed (docs/settings.md).
     """
 

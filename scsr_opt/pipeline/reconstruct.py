@@ -4,8 +4,8 @@
             `──────────────── assemble_task ────────────────'        ▲   │
                                                              updates └───┘
 
-`reconstruct` goes all the way; `assemble` stops before the first iteration and returns the problem, for a
-solver or a prior of one's own. `reconstruct_sequence` (`scsr_opt.pipeline.sequence`) does it for many key frames.
+`reconstruct` runs all stages; `assemble` stops before the first iteration and returns the problem, for a solver or a
+prior of one's own. `reconstruct_sequence` (`scsr_opt.pipeline.sequence`) solves for many key frames.
 """
 
 import time
@@ -49,16 +49,16 @@ def reconstruct(
     **Arguments:**
     - `spikes`: (T, h, w) of 0 and 1, or a `Recording`.
     - `scale`: s ≥ 1, any integer; 1 denoises and sharpens only.
-    - `key`: frame whose picture is wanted, 0 … T−1; the middle one if None.
-    - `options`, `changes`: how to solve for it (`Options`); `reconstruct(…, strength=0.01)` changes a field of
+    - `key`: frame whose picture is solved for, 0 … T−1; the middle one if None.
+    - `options`, `changes`: how to solve (`Options`); `reconstruct(…, strength=0.01)` changes a field of
       `options`, or of the defaults.
-    - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations), solved by the same
-      solver and prior at the same size: where to start.
+    - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations) with the same solver,
+      prior and size, from which the solve starts.
     - `progress`: receives the number of iterations done.
     - `throw`: raise `SolveError` where the solve fails. By default the failure is in `Solution.status`.
 
-    Arrays that are given are copied or read before it returns, and never written to; those of the `Solution` are the
-    caller's own.
+    The arrays of the caller are copied, or read before the function returns, and never written to. Those of the
+    `Solution` belong to the caller.
 
     **Returns:** `Solution`; `.image` is (s·h, s·w) float32, intensity, 1 = white.
 

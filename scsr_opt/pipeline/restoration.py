@@ -25,13 +25,13 @@ _LEAST_WEIGHT = 1e-3
 
 
 class Solved(NamedTuple):
-    """A solution of Eq. 4 and what the data say of it.
+    """A solution of Eq. 4, with the gradient and the weight of its data term.
 
     **Fields:**
     - `image`: X, (H, W), intensity.
-    - `change`: −∇f(X) / (BᵀMB 1), (H, W), intensity: what the data alone would change, which the prior holds back. It
-      holds the details that the prior took for noise, and the noise.
-    - `weight`: s² BᵀMB 1, (H, W): how much the samples say of each pixel, 1 where it was seen all the time.
+    - `change`: −∇f(X) / (BᵀMB 1), (H, W), intensity: the step that the data term alone would make. It contains details
+      that the prior removed as if they were noise, and noise.
+    - `weight`: s² BᵀMB 1, (H, W): weight of the samples of each pixel, 1 for a pixel that was seen all the time.
     - `strength`: λ, ().
     """
 
@@ -63,7 +63,7 @@ def restoration_of(scale: int) -> Restoration:
     for entry in entry_points(group=GROUP, name="best"):
         return entry.load()(scale)
     raise InputError(
-        "quality is 'best', but no package that restores pictures is installed; install scsr-opt anew, or take 'fast'."
+        "quality is 'best', but no package that restores pictures is installed; install scsr-opt again, or take 'fast'."
     )
 
 

@@ -1,10 +1,10 @@
-"""Pictures of several key frames of one recording, each starting from what is known of the one before.
+"""Pictures of several key frames of one recording, each starting from motion, strength and picture of the one before.
 
-From one key frame to the next little changes: motions last, and what rests has been solved for. So the motion of the
-last picture is carried on along its own trajectories; only which of its layers is seen where is decided anew.
-It is estimated anew where the recording contradicts it more than it did, or after a while; the strength is validated
-then, and the gains are found, and both are carried on with it. The picture and the prior's dual variables are moved
-along, and the solve starts from there, or from playback where hardly anything was seen.
+Little changes from one key frame to the next: motions continue, and parts at rest have been solved for. The motion of
+the last picture is therefore carried on along its own trajectories; only the labels of its layers are found again. The
+motion is estimated again if the recording contradicts it more than at first, or after a number of frames. The strength
+is then validated and the gains are estimated, and both are carried on together with the motion. The picture and the
+prior's dual variables are moved along, and the solve starts from these, or from playback where there were few samples.
 """
 
 from collections.abc import Generator, Iterable
@@ -56,20 +56,21 @@ def reconstruct_sequence(
 ) -> Generator[Solution, None, None]:
     """The pictures X of the key frames `keys`, one after the other: Eq. 4 of the paper for each (`reconstruct`).
 
-    Pictures are made as they are asked for, and the faster the less happens between them. While a picture is solved
-    for, or used, the next one is measured, and the motion of the one after that is carried on.
+    A picture is solved for when the generator is asked for it, and the faster the less changed since the one before.
+    Meanwhile the samples of the next picture are made, and the motion of the one after that is carried on.
 
     **Arguments:**
     - `spikes`, `scale`, `options`, `changes`, `progress`: as of `reconstruct`; `motion` must be None or an
-      `Estimator`. A picture whose motion is carried on is solved for to twice the solver's tolerance, from nearer.
-    - `keys`: frames, best in order and a few frames apart; one may come again.
+      `Estimator`. A picture whose motion is carried on is solved to twice the solver's tolerance, as it starts nearer
+      to its minimum.
+    - `keys`: key frames, best in order and a few frames apart; a frame may be repeated.
 
     **Returns:** a `Solution` for each; `.image` is (s·h, s·w) float32, intensity, 1 = white; all have one `.white`.
-    Where `.diagnostics.motion_carried` is true, `.motion` is that of a picture before, carried on: not always what
-    would be estimated there.
+    If `.diagnostics.motion_carried` is true, `.motion` was carried on from an earlier picture, and may differ from the
+    motion that would be estimated at this key frame.
 
-    **Raises:** `InputError` as `reconstruct`, for `key` and `state`, which are found picture by picture, and, when it
-    is called, for keys that are no frames of the recording.
+    **Raises:** `InputError` as `reconstruct`; for `key` and `state`, which the sequence determines itself; and, when
+    the function is called, for keys that are no frames of the recording.
     """
     ready()
     check_progress(progress)

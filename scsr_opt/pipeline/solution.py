@@ -26,29 +26,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnostics:
-    """Numbers that a reconstruction found on its way; None where one does not apply.
+    """Numbers from a reconstruction, beside its picture; None where one does not apply.
 
     **Fields:**
     - `iterations`, `solver` (its name), `strength` λ, `objective` (Eq. 4, halved, at the picture; of the last solve).
-    - `samples` that were used, and `positions` along an exposure at most.
-    - `speed_max`: sensor pixels per frame. `saturated`: share of the pixels that fired in 90 % of the frames or more;
-      where they lie the picture is a lower bound.
+    - `samples`: number of samples that were used. `positions`: largest number of positions along an exposure.
+    - `speed_max`: largest speed, sensor pixels per frame. `saturated`: share of the pixels that fired in 90 % of the
+      frames or more; at these the picture is a lower bound.
     - `gain_spread`, `gain_spread_at_rest`: standard deviation of the pixels' gains where the scene moves by a pixel,
       and elsewhere.
-    - `bad_pixels`: how many were left out, by kind (`PixelKind`): given, dead, hot, isolated, resting.
-    - `light_depth`: swing of the light either way, relative to its mean; None where it does not change.
-      `light_frequency`: Hz; None where it does not repeat.
-      `light_unexplained`: share of the sensor whose brightness changes as that around it, which neither motion nor the
-      light found explain: shadows, reflections.
-    - `used_frames`: how far in time samples were used, frames before and after the key frame: that of the pixels of
-      shortest reach (5 %), of the middle one, and of those of longest (95 %).
-    - `optics_sigma`: of the lens that was estimated, sensor pixels.
-    - `motion_carried`: of a sequence, whether the motion is that of the picture before, carried on.
-    - `first_iterations`: of `iterations`, those before Eq. 4 was solved again about a restored picture
-      (`Options.quality`); `strength` is the λ of these. `misfit_ratio`: f(X) of the picture over that of the solution
-      that was restored: what the samples contradict would raise it above 1. `restored`: false where the restored
-      picture predicted held-out samples worse than the usual one, which was solved for instead.
-    - `seconds`: by part of the work.
+    - `bad_pixels`: number of pixels that were left out, by kind (`PixelKind`): given, dead, hot, isolated, resting.
+    - `light_depth`: amplitude of the light, relative to its mean; None if it does not change.
+      `light_frequency`: Hz; None if the light is not periodic.
+      `light_unexplained`: share of the sensor whose brightness changes together with its surroundings, which neither
+      the motion nor the light explain: shadows, reflections.
+    - `used_frames`: frames before and after the key frame within which samples were used: the 5 %, 50 % and 95 %
+      quantiles over the pixels.
+    - `optics_sigma`: standard deviation of the estimated lens, sensor pixels.
+    - `motion_carried`: in a sequence, whether the motion is that of the picture before, carried on.
+    - `first_iterations`: those of `iterations` that were made before Eq. 4 was solved again around a network's picture
+      (`Options.quality`); `strength` is the λ of these. `misfit_ratio`: f(X) of the picture over that of the first
+      solution; above 1 if the samples contradict the network's picture. `restored`: false if the picture with the
+      network predicted held-out samples worse than the one without it, which was solved for instead.
+    - `seconds`: time of each part of the work.
     """
 
     iterations: int = 0
@@ -80,20 +80,19 @@ class Solution:
 
     **Fields:**
     - `image`: (H, W) float32, intensity, 1 = white, linear.
-    - `recording` it is of, the `scale` s and the `key` frame (of the recording) it was solved for, and the `white_rate`
-      (spikes per frame of intensity 1) that was used.
+    - `recording`, the `scale` s, the `key` frame (of the recording), and the `white_rate` (spikes per frame of
+      intensity 1) that was used.
     - `crop`: (top, left, height, width) of the part of the sensor that was solved for; None for all of it.
-    - `status`: how it ended. `stages`: one record per iteration. `diagnostics`: numbers by name.
-    - `motion`: the motion that was used; None where there was none to use.
-    - `gain`: (h, w), of each sensor pixel, as given or found (`Options.gain`); None where it is 1.
-    - `bad_pixels`: of the sensor, or of `crop`, that were not used, and why; None where all were.
-    - `light`: of each moment of the clip, where it changes (`camera.light.Light`); None where it does not.
-    - `used_frames`: (h, w), how far in time each sensor pixel's samples were used, frames before and after the key
-      frame (`Measurements.used_frames`); 0 where none was; None where no picture was solved for.
-    - `scene`: what each part of the scene needed; None with `Shortcuts.none()`.
-    - `tiles`: iterations of each tile; None where tiles were not looked at one by one.
-    - `white`: intensity that 8-bit PNG, figures and films show as white. Those of one sequence
-      have one.
+    - `status`: how the solve ended. `stages`: one record per iteration. `diagnostics`: named numbers.
+    - `motion`: the motion that was used; None if there was none.
+    - `gain`: (h, w), gain of each sensor pixel, as given or estimated (`Options.gain`); None if all are 1.
+    - `bad_pixels`: pixels of the sensor, or of `crop`, that were not used, and why; None if all were used.
+    - `light`: light of each moment of the clip, if it changes (`camera.light.Light`); None if it does not.
+    - `used_frames`: (h, w), frames before and after the key frame within which samples of each sensor pixel were used
+      (`Measurements.used_frames`); 0 for a pixel without samples; None if no picture was solved for.
+    - `scene`: the scene summary, kinds of the tiles; None with `Shortcuts.none()`.
+    - `tiles`: iterations of each tile; None if tiles were not iterated one by one.
+    - `white`: intensity that 8-bit PNG, figures and films show as white; the same for all pictures of a sequence.
     - `state`: what a solve of a similar problem can start from (`reconstruct(…, state=…)`).
     """
 

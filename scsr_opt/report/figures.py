@@ -241,7 +241,7 @@ def _tiled(
 def detailed_part(
     image: Num[Any, "H W"], velocity: Num[Any, "2 h w"] | None = None, *, scale: int = 1, share: float = 0.24
 ) -> tuple[int, int, int, int]:
-    """The part of a picture where there is most to see, and where it moves: (top, left, height, width) in pixels.
+    """The part of a picture with most detail and motion: (top, left, height, width) in pixels.
 
     Its score is the mean of the gradient's magnitude, capped so that a single hard edge does not outweigh texture,
     times one plus the mean speed over the largest; parts within 4 sensor pixels of the border are left out.

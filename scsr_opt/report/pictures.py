@@ -2,7 +2,7 @@
 
 A picture is linear intensity, 1 = white. By default the numbers go into the file as they are, so that what is read back
 can be measured. What is looked at, 8-bit PNG and films, may have another `white` (`scsr_opt.camera.white`). Viewers
-take PNG for gamma-encoded and show it darker than the scene was; `gamma` = 2.2 stores it for looking at.
+take PNG for gamma-encoded and show it darker than the scene was; `gamma` = 2.2 stores it for viewers.
 """
 
 import io
@@ -98,7 +98,7 @@ def _check_gamma(gamma: float) -> None:
     if not least <= finite(gamma) <= most:
         raise InputError(
             f"gamma is {shown(gamma)}, but it must be from {least:g} to {most:g}: 1 for linear intensity, 2.2 for "
-            f"looking at."
+            f"viewers."
         )
 
 

@@ -22,8 +22,8 @@ def speed(done: int, total: int | None, seconds: float) -> str:
 
 
 class LineProgress:
-    """A line on standard error every `every` seconds, for logs and pipes: what is done, how far, how fast, how much
-    longer, for how long.
+    """A line on standard error every `every` seconds, for logs and pipes: the part of the work, its progress, rate,
+    remaining and elapsed time.
 
     Lines come from a thread and not from `advance`, so that they also appear while a program is compiled. Work that
     takes less than `every` seconds shows nothing.
@@ -70,8 +70,7 @@ class LineProgress:
 
 
 class RichProgress:
-    """A bar on standard error, with the time that is left, once a part of the work has taken longer than `delay`
-    seconds.
+    """A bar on standard error, with the remaining time, for parts of the work that take longer than `delay` seconds.
 
     The bar is drawn from a timer and not from `advance`, so that it appears while a first compilation keeps the first
     `advance` waiting. It is removed when its part is over: what is left on the screen is the command's own output.

@@ -27,7 +27,7 @@ _PAGE = """<div style="position:relative;width:{width}px;max-width:100%;font:12p
 
 @dataclass(frozen=True, eq=False)
 class Wipe:
-    """Two pictures of one scene, of which a line that moves across shows the one or the other.
+    """Two pictures of one scene, divided by a movable line: one picture left of it, the other right.
 
         Wipe(bicubic(playback, 4), solution.image, names=("playback", "reconstruction")).write("wipe.gif")
 
@@ -36,7 +36,7 @@ class Wipe:
     **Fields:**
     - `before`, `after`: (H, W), intensity, 1 = white, of one size.
     - `names`: what is written below them.
-    - `gamma`: 2.2 is for looking at, 1 keeps intensity linear.
+    - `gamma`: 2.2 is what viewers expect, 1 keeps intensity linear.
 
     Both are drawn with one grey scale, whose white is near the brightest of them.
     """

@@ -78,7 +78,7 @@ class Picture(NamedTuple):
 
 
 class SequenceStore:
-    """A store that is there; made by `create` and found by `open`.
+    """An existing store; `create` makes one and `open` opens one.
 
     **Fields:** `path` (absolute), `keys`, `scale`, `group` (pictures of a group), `readout_rate` in Hz, `white`.
     """

@@ -57,7 +57,7 @@ class DataProximal(ProximalGradient):
         if not problem.data.block_diagonal:
             raise InputError(
                 "DataProximal was given data whose pixels overlap, as where something moves, a lens blurs or the "
-                "sensor grid is not used (Shortcuts); it is for scenes at rest: take FISTA, which serves all."
+                "sensor grid is not used (Shortcuts); it is for scenes at rest: take FISTA, which works for all."
             )
         assert problem.prior.lipschitz is not None  # `check` saw to it
         steepest = problem.strength * problem.prior.lipschitz

@@ -48,5 +48,5 @@ def lipschitz_bound(data: DataTerm) -> Float[Array, ""]:
 
 @eqx.filter_jit
 def with_bound(data: DataTerm) -> DataTerm:
-    """`data` with its `bound`. It stays that of other targets c, as M does, but not of another M."""
+    """`data` with its `bound` on L. The bound holds for any target c, but not for another M."""
     return eqx.tree_at(lambda term: term.bound, data, lipschitz_bound(data), is_leaf=lambda leaf: leaf is None)

@@ -50,16 +50,16 @@ class Stage:
     **Fields:**
     - `number`: t, counted from 1.
     - `objective`, `data`, `prior`: Eq. 4 divided by two at X^(t), its data part and λΨ; `objective = data + prior`.
-    - `residual`: relative optimality, ‖X^(t) − A‖ / ‖X^(t)‖, A the point that the iteration started from, so that
-      X^(t) = prox(A − β∇f(A)); 0 at the minimiser. As such a step brings no two points further apart, one more from
-      X^(t) changes it by no more than this. Where each pixel has its own β, differences count times the shortest β over
-      it: the same slope as much everywhere. Methods that split the problem record an upper bound on ‖X^(t) − G(X^(t))‖
-      / ‖X^(t)‖, G such a step (`scsr_opt.solvers.stopping`).
+    - `residual`: ‖X^(t) − A‖ / ‖X^(t)‖, with A the point from which the iteration made its step X^(t) = prox(A −
+      β∇f(A)); 0 at the minimiser. Such a step brings no two points further apart, so one more step from X^(t) changes
+      the picture by no more than this. If each pixel has its own β, its difference is multiplied by the shortest β over
+      its own, so that the same slope gives the same residual. Methods that split the problem record an upper bound on
+      ‖X^(t) − G(X^(t))‖ / ‖X^(t)‖, with G such a step (`scsr_opt.solvers.stopping`).
     - `step_size`: β, the shortest where each pixel has its own.
     - `seconds`: since the solve began, at the end of the chunk that this stage belongs to; NaN where not measured.
-    - `gap`: duality gap over the objective, how far the objective is above its minimum at most, relative; NaN where it
-      is not measured.
-    - `gradient_step`, `image`: R^(t) and X^(t), kept only when asked for (they are large).
+    - `gap`: duality gap over the objective, a bound on the relative distance of the objective from its minimum; NaN
+      where it is not measured.
+    - `gradient_step`, `image`: R^(t) and X^(t); None unless `Options.keep_images`, as they are large.
     """
 
     number: int

@@ -126,8 +126,8 @@ class Fixed(StepSize):
 
 
 class Backtracking(StepSize):
-    """β as long as the step allows (Beck and Teboulle, 2009; that it may grow again, too, is from Scheinberg, Goldfarb
-    and Bai, 2014, "Fast first-order methods for composite convex optimization with backtracking").
+    """The largest β that passes a test of the step (Beck and Teboulle, 2009; that β may grow again is from Scheinberg,
+    Goldfarb and Bai, 2014, "Fast first-order methods for composite convex optimization with backtracking").
 
     A step d is sufficient if f(A + d) ≤ f(A) + ⟨∇f(A), d⟩ + ‖d‖²/(2β). f is a quadratic, so this means that the
     curvature along d is at most 1/β, and it follows from two gradients that are known. A step that fails is made again

@@ -80,7 +80,7 @@ class FixedPoint(Stopping):
 
 
 class DualityGap(Stopping):
-    """The duality gap over F(X): by how much the objective is above its minimum at most, relative.
+    """The duality gap over F(X): a bound on the relative distance of the objective from its minimum.
 
     It is certain if a minimiser lies between `lower` and `upper`, as intensities do; a wider range costs tightness. For
     `Analysis` priors. During a run it is 10 to 500 times the true gap; in float32 it has come down to 5e-5; to

@@ -77,7 +77,7 @@ def test_bench_smallest_case_writes_page(written):
 
 def test_stress_smallest_cases_write_page(written):
     case = Case("solvers", prior="TV", iterations=20)
-    refused = Case("door", kind="reconstruct", motion="not a number")
+    refused = Case("reconstruct", kind="reconstruct", motion="not a number")
     rising = Case("descent", kind="descent", solver="ISTA", prior="TV", step=2.5, strength=0.0)
     few = [case, Case("conditioning", prior="TV", iterations=20), refused, rising]
     text = written(stress.BENCHMARK, stress.measured(few, NoProgress(), quick=True, workers=1))

@@ -22,10 +22,10 @@ def compare(
             "train wrote."
         ),
     ],
-    out: Annotated[
+    output: Annotated[
         Path,
         Parameter(
-            name=["--out", "-o"],
+            name=["--output", "-o"],
             help="Folder for stages.txt (a table), stages.json (all stages) and stages.png; it is made if it is not "
             "there.",
         ),
@@ -59,7 +59,7 @@ def compare(
         raise InputError(f"--scale is {scale}, but it must be at least 1.")
     from learned.evaluation.stage_report import FILES
 
-    _check_folder(out, [file, *([] if truth is None else [truth])], FILES, overwrite)
+    _check_folder(output, [file, *([] if truth is None else [truth])], FILES, overwrite)
     recording = (reading or Reading()).open(file)
     moment = key_frame(recording, key)
 
@@ -72,18 +72,18 @@ def compare(
     compared = compare_stages(
         recording, chosen, scale=scale, key=moment, truth=known, costs=costs, progress=progress(quiet)
     )
-    out.mkdir(exist_ok=True)
-    paths = compared.write(out)
+    output.mkdir(exist_ok=True)
+    paths = compared.write(output)
     if not quiet:
         print("\n".join([compared.table(), *(str(path) for path in paths)]))
     return 0
 
 
-def _check_folder(out: Path, inputs: list[Path], names: tuple[str, ...], overwrite: bool) -> None:
+def _check_folder(output: Path, inputs: list[Path], names: tuple[str, ...], overwrite: bool) -> None:
     """**Raises:** `InputError` if the outputs cannot be written there, or would replace a file that they may not."""
-    if out.is_dir():
-        check_outputs(inputs, overwrite, **{f"out/{name}": out / name for name in names})
-    elif out.exists():
-        raise InputError(f"--out {out} is a file; name a folder.")
+    if output.is_dir():
+        check_outputs(inputs, overwrite, **{f"output/{name}": output / name for name in names})
+    elif output.exists():
+        raise InputError(f"--output {output} is a file; name a folder.")
     else:
-        check_writable(out)
+        check_writable(output)

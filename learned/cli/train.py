@@ -20,10 +20,10 @@ def train(
     ],
     /,
     *,
-    out: Annotated[
+    output: Annotated[
         Path | None,
         Parameter(
-            name=["--out", "-o"],
+            name=["--output", "-o"],
             help="Folder of the run; it is made if it is not there. Default: run-CONFIG.",
         ),
     ] = None,
@@ -52,7 +52,7 @@ def train(
         chosen = chosen.changed(pictures=str(pictures))
     if steps is not None:
         chosen = chosen.changed(steps=steps)
-    folder = Path(f"run-{Path(config).stem}") if out is None else out
+    folder = Path(f"run-{Path(config).stem}") if output is None else output
     trained = run(chosen, folder, progress=progress(quiet))
     if not trained.status.usable:
         say_error(trained.status.message)

@@ -50,7 +50,7 @@ def asked(monkeypatch) -> list[dict]:
 def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
     write_picture("right.npz", np.full((48, 80), 0.5, np.float32))
     said = scsr(
-        "compare", file, "--models", f"fista-huber, {net},", "--scale", "2", "--out", "seen", "--key", "12",
+        "compare", file, "--models", f"fista-huber, {net},", "--scale", "2", "--output", "seen", "--key", "12",
         "--truth", "right.npz", "--no-costs",
     )  # fmt: skip
     assert asked[0]["models"] == ["fista-huber", net] and asked[0]["key"] == 12 and asked[0]["costs"] is False
@@ -79,8 +79,8 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
         (["--models", "ridge", "--key", "31"], "Key frame 31 is not in ramp"),
         (["--models", "ridge", "--truth", "small.npz"], "The truth has shape (3, 4)"),
         (["--models", "ridge", "--truth", "missing.png"], "missing.png"),
-        (["--models", "ridge", "--out", "ramp.npz"], "--out ramp.npz is a file; name a folder"),
-        (["--models", "ridge", "--out", "no/where"], "the folder no does not exist"),
+        (["--models", "ridge", "--output", "ramp.npz"], "--output ramp.npz is a file; name a folder"),
+        (["--models", "ridge", "--output", "no/where"], "the folder no does not exist"),
         ([], "scsr compare needs --models"),
     ],
 )
@@ -89,7 +89,7 @@ def test_compare_refuses_before_it_starts(scsr, here, file, monkeypatch, options
     monkeypatch.setattr(zoo, "CHECKPOINTS", here)
     write_picture("small.npz", np.zeros((3, 4), np.float32))
     given = dict(zip(options[::2], options[1::2], strict=True))
-    arguments = {"--scale": "2", "--out": "seen", **given}
+    arguments = {"--scale": "2", "--output": "seen", **given}
     assert message in scsr("compare", file, *(part for pair in arguments.items() for part in pair), code=2)
     assert sorted(os.listdir(here)) == ["ramp.npz", "small.npz"]
 
@@ -98,7 +98,7 @@ def test_compare_does_not_replace_what_it_reads(scsr, here, file):
     os.mkdir("seen")
     write_picture("seen/truth.png", np.zeros((48, 80), np.float32))
     os.rename("seen/truth.png", "seen/stages.png")
-    said = scsr("compare", file, "--models", "ridge", "--out", "seen", "--truth", "seen/stages.png", code=2)
+    said = scsr("compare", file, "--models", "ridge", "--output", "seen", "--truth", "seen/stages.png", code=2)
     assert "seen/stages.png is the file that is read" in said and os.listdir("seen") == ["stages.png"]
 
 

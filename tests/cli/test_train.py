@@ -65,7 +65,7 @@ def test_train_and_go_on(scsr, here, config):
 def test_train_on_pictures(scsr, here, config):
     (here / "mine").mkdir()
     Image.fromarray(np.arange(48 * 48, dtype=np.uint16).reshape(48, 48).astype(np.uint8)).save("mine/ramp.png")
-    scsr("train", config, "--pictures", "mine", "--out", "made/here", "--steps", "1")
+    scsr("train", config, "--pictures", "mine", "--output", "made/here", "--steps", "1")
     assert "mine" in checkpoint.load("made/here/last.scsr")[1].data
 
 

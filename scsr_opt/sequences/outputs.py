@@ -21,7 +21,8 @@ from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
-from scsr_opt.sequences.store import Picture, SequenceStore, is_store
+from scsr_opt.sequences.layout import is_store
+from scsr_opt.sequences.store import Picture, SequenceStore
 
 STORE = ".zarr"
 # Of the store beside an output. It is removed at the end, so that no user's own store may bear its name, such as

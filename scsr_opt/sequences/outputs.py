@@ -21,6 +21,7 @@ from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
+from scsr_opt.sequences.files import writing
 from scsr_opt.sequences.layout import is_store
 from scsr_opt.sequences.store import Picture, SequenceStore
 
@@ -29,6 +30,8 @@ STORE = ".zarr"
 # car.zarr beside the folder car.
 _UNFINISHED = f".unfinished{STORE}"
 ARRAYS = (".npz", ".npy")
+# File in that store from when the output is begun on: an output that is there then is the store's own.
+_BEGUN = "output.begun"
 _STILLS = {8: ".png", 16: ".png", 32: ".tif"}
 _TABLE, _IMAGES = "times.csv", "images"
 
@@ -122,8 +125,17 @@ class SequenceFormat:
         """The files, or the folder, that are written in the end."""
         return [self.path, self.path.with_suffix(".csv")] if self.ending == ".npy" else [self.path]
 
+    def begin(self) -> None:
+        """Notes in the store that the outputs are written from now on: a run that goes on after a kill replaces them.
+
+        **Raises:** `InputError` if the store cannot be written.
+        """
+        with writing(self.store):
+            (self.store / _BEGUN).touch()
+
     def check(self, overwrite: bool) -> None:
-        """Finds out before the work whether the outputs can be written.
+        """Finds out before the work whether the outputs can be written. Those that a run of this output had begun when
+        it was killed may be replaced.
 
         **Raises:** `InputError` if one cannot, is there already and may not be overwritten, or is inside of a store.
         """
@@ -132,6 +144,7 @@ class SequenceFormat:
             raise InputError(f"{self.path} is in the store {around}: give a name outside of it.")
         if self.is_store:
             return  # `write_sequence` goes on with it, or refuses it
+        replaced = overwrite or (is_store(self.store) and (self.store / _BEGUN).exists())
         for path in self.outputs:
             if not self.ending and os.path.isdir(path):
                 check_writable(path.with_name(f"{path.name}.new"))  # its place, as it is replaced as a whole
@@ -141,7 +154,7 @@ class SequenceFormat:
                     )
             else:
                 check_writable(path)
-            if path.exists() and not overwrite:
+            if path.exists() and not replaced:
                 raise InputError(f"{path} is there already: give --overwrite to replace it, or another name.")
 
 

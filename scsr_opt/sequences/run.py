@@ -94,6 +94,7 @@ def write_sequence(
             raise InputError(f"{missing} of {pictures} pictures are missing in {place}: give the command again.")
         if chosen.path != place:
             if len(written.failed) < pictures:
+                chosen.begin()
                 export(store, chosen, overwrite=overwrite, progress=meter)
             remove(place)
     return written

@@ -40,7 +40,7 @@ def follow(path: Path, output: "LiveOutput", reading: Reading, solving: Solving,
     try:
         live.run(progress(quiet))
     finally:
-        if not quiet:
+        if not quiet and live.written + live.failed:
             print("\n".join(_lines(path, live)), flush=True)
     if live.failed:
         what = f"{live.failed} of {live.failed + live.written} pictures could not be solved for, the last one"
@@ -65,15 +65,9 @@ def _descriptor() -> int:
 def _lines(path: Path, live: "LiveSequence") -> list[str]:
     """The sentences that are printed at the end."""
     stream, written = live.stream, live.written
-    count = "No picture" if written == 0 else "1 picture" if written == 1 else f"{written} pictures"
-    of = (
-        ""
-        if written == 0
-        else f", of frame {live.first}"
-        if written == 1
-        else f", of frames {live.first} to {live.last}"
-    )
-    lines = [f"{path}: {count} written{of}; {stream.frames} frames were read."]
+    few = {0: "no picture", 1: f"1 picture of frame {live.first}"}
+    count = few.get(written, f"{written} pictures of frames {live.first} to {live.last}")
+    lines = [f"{path}: {count} written; {stream.frames} frames were read."]
     if live.dropped:
         before = f", {live.dropped_before} of them before the first picture" if live.dropped_before else ""
         keys = "1 key frame was" if live.dropped == 1 else f"{live.dropped} key frames were"

@@ -223,7 +223,8 @@ class LiveSequence:
     def run(self, progress: Progress | None = None) -> None:
         """Writes pictures until the stream ends. Where the solve begins not to keep up, there is a warning.
 
-        **Raises:** `InputError` if a picture cannot be written; the pictures before are there.
+        **Raises:** `InputError` if a picture cannot be written, where those before are there; or if the stream ends
+        before the first key frame.
         """
         check_progress(progress)
         meter = NoProgress() if progress is None else progress
@@ -243,6 +244,11 @@ class LiveSequence:
             sys.setswitchinterval(interval)
         if self._fault is not None:
             raise self._fault
+        if self.stream.frames <= self._start:
+            raise InputError(
+                f"The stream ended after {self.stream.frames} frames, before the first key frame, {self._start}: no "
+                f"picture was written."
+            )
 
     def _solve(self, moment: _Moment) -> None:
         solution = reconstruct(moment.recording, scale=self._scale, key=moment.key, options=self._options)

@@ -178,8 +178,9 @@ sys.exit(app.main())
 )
 def test_stream_that_is_interrupted_is_reported(here, number, code, message):
     """While the camera says nothing; what was written stays."""
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    running = subprocess.Popen([sys.executable, "-c", PROGRAM, *GIVEN, "out"], **pipes)
+    command = [sys.executable, "-c", PROGRAM, *GIVEN, "out"]
+    pipe = subprocess.PIPE
+    running = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe)
     assert running.stdin is not None and running.stdout is not None and running.stderr is not None
     running.stdin.write(packed(900))
     running.stdin.flush()
@@ -192,8 +193,8 @@ def test_stream_that_is_interrupted_is_reported(here, number, code, message):
     said, errors = running.stdout.read().decode(), running.stderr.read().decode()
     assert said.startswith("out: 1 picture of frame 0 written; ") and "Delay" in said
     assert errors == message and os.listdir("out/images") == ["0000000000.png"]
-    for pipe in (running.stdin, running.stdout, running.stderr):
-        pipe.close()
+    for end in (running.stdin, running.stdout, running.stderr):
+        end.close()
 
 
 def test_stream_end_to_end(scsr, stream, tmp_path):

@@ -145,7 +145,7 @@ def commands(page: str) -> list[str]:
     for line in lines:
         runs = page in RUN and line.startswith("scsr ")
         assert runs or re.search(r"# not run: \w+", line), f"{page}: say why it is not run: {line}"
-    return [line[line.index("scsr ") :] for line in lines if re.match(r"(\w+ \| )?scsr ", line)]
+    return [line[line.index("scsr ") :] for line in lines if re.match(r"(.+ \| )?scsr ", line)]
 
 
 # Pages whose commands `tests/test_docs.py` runs.

@@ -101,6 +101,7 @@ def test_stream_is_reported(scsr, here, stream, solves):
     assert os.listdir(here) == ["out"]
 
 
+@pytest.mark.filterwarnings("ignore:The solve does not keep up")
 def test_stream_latest_writes_one_file(scsr, here, stream, solves):
     stream(packed(3500))
     assert scsr(*GIVEN, "now.png", "--latest", "--white", "1", "--start", "100", "--quiet") == ""

@@ -124,6 +124,7 @@ def test_a_key_frame_has_the_frames_that_it_has_in_the_file(tmp_path, camera, so
             np.testing.assert_array_equal(held.window(start, stop), recording.window(start, stop))
 
 
+@pytest.mark.filterwarnings("ignore:The solve does not keep up")
 def test_pictures_equal_those_of_the_file(tmp_path, camera):
     """By real solves of a scene that moves, in which gains, strength and bad pixels are found."""
     from skimage import data

@@ -135,18 +135,20 @@ class FlatLayout:
         return rows
 
 
-@dataclass(frozen=True)
-class FlatSource(SpikeSource):
-    """A flat file: packed frames one after another, no header.
+class PackedSource(SpikeSource):
+    """Packed frames one after another, without a header.
 
     A frame is row-major; within a byte the least significant bit is the leftmost pixel. `layout` says which bits are
     pixels. `flipped`: the bottom row comes first.
     """
 
-    path: Path
-    shape: tuple[int, int, int]
     layout: FlatLayout
     flipped: bool
+
+    @abstractmethod
+    def packed(self, start: int, stop: int) -> UInt8[np.ndarray, "bytes"]:
+        """Bytes that hold frames `start` to `stop` − 1, from the one in which frame `start` begins to the one in which
+        the last frame ends."""
 
     def read(self, start: int, stop: int) -> UInt8[np.ndarray, "n h w"]:
         height, row_bits = self.shape[1], self.layout.row_bits
@@ -157,14 +159,23 @@ class FlatSource(SpikeSource):
         return pixels
 
     def bits(self, start: int, stop: int) -> UInt8[np.ndarray, "n bits"]:
-        """All bits of frames `start` to `stop` − 1, as they lie in the file."""
+        """All bits of frames `start` to `stop` − 1, as they are packed."""
         count = self.layout.frame_bits(self.shape[1])
         bits = np.unpackbits(self.packed(start, stop), bitorder="little")
         skipped = start * count % 8
         return bits[skipped : skipped + (stop - start) * count].reshape(stop - start, count)
 
+
+@dataclass(frozen=True)
+class FlatSource(PackedSource):
+    """A flat file, mapped."""
+
+    path: Path
+    shape: tuple[int, int, int]
+    layout: FlatLayout
+    flipped: bool
+
     def packed(self, start: int, stop: int) -> UInt8[np.ndarray, "bytes"]:
-        """Bytes that hold frames `start` to `stop` − 1, mapped."""
         count = self.layout.frame_bits(self.shape[1])
         first = start * count // 8
         length = math.ceil(stop * count / 8) - first

@@ -1,7 +1,7 @@
 """Entry point of `scsr`: commands, exit codes, and errors in one line.
 
-Exit codes: 0 done; 1 the solve failed and no picture was written; 2 something that was asked for cannot be done (wrong
-arguments, unreadable file, no place to write); 130 interrupted; 143 terminated.
+Exit codes: 0 done; 1 a solve failed and its picture was not written; 2 something that was asked for cannot be done
+(wrong arguments, unreadable file, no place to write); 130 interrupted; 143 terminated.
 """
 
 import functools
@@ -18,6 +18,7 @@ from importlib.metadata import entry_points
 from cyclopts import App
 
 from scsr_opt.cli.baseline import baseline
+from scsr_opt.cli.batch import batch
 from scsr_opt.cli.cache import cache, warm
 from scsr_opt.cli.calibrate import calibrate
 from scsr_opt.cli.demo import demo
@@ -27,7 +28,7 @@ from scsr_opt.cli.play import play
 from scsr_opt.cli.sequence import export, sequence
 from scsr_opt.cli.simulate import simulate
 from scsr_opt.cli.solve import solve
-from scsr_opt.cli.wording import sentence
+from scsr_opt.cli.wording import Terminated, sentence, signal_behind
 
 
 def _version() -> str:
@@ -44,8 +45,8 @@ def _app() -> App:
         help="Super-resolved pictures from the recordings of a spike camera.\n\n"
         "A recording holds binary frames: a pixel fires when it has gathered a fixed amount of light since its last "
         "spike. Intensity is linear, 1 = white; frames are counted from 0; velocities are in sensor pixels per frame.",
-        help_epilogue="Exit codes: 0 done, 1 the solve failed (no picture written), 2 the request cannot be carried "
-        "out.",
+        help_epilogue="Exit codes: 0 done, 1 a solve failed (its picture is not written), 2 the request cannot be "
+        "carried out.",
         help_format="plaintext",
         version=_version,
         result_action="return_value",
@@ -58,6 +59,7 @@ def _app() -> App:
         simulate,
         play,
         solve,
+        batch,
         sequence,
         export,
         baseline,
@@ -71,12 +73,8 @@ def _app() -> App:
     return app
 
 
-class _Terminated(BaseException):
-    """SIGTERM arrived; raised wherever the program is, so that files half written are removed."""
-
-
 def _terminate(*_: object) -> None:
-    raise _Terminated
+    raise Terminated
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -97,31 +95,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _app()(given, exit_on_error=False, print_error=False)
             sys.stdout.flush()
         return code if isinstance(code, int) else 0
-    except (KeyboardInterrupt, _Terminated) as signalled:
+    except (KeyboardInterrupt, Terminated) as signalled:
         return _ended_by(signalled)
     except BrokenPipeError:
         # Whoever read the output has seen enough. Python would complain once more when it closes the stream.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        if (signalled := _signal_behind(error)) is not None:
+        if (signalled := signal_behind(error)) is not None:
             return _ended_by(signalled)
         if os.environ.get("SCSR_TRACEBACK"):
             raise
         return _fail(sentence(error), 2)
 
 
-def _signal_behind(error: BaseException) -> BaseException | None:
-    """The exception of a signal that Python or a library turned into another error, as during an import; None
-    if there was no signal."""
-    behind: BaseException | None = error
-    while behind is not None and not isinstance(behind, KeyboardInterrupt | _Terminated):
-        behind = behind.__cause__ or behind.__context__
-    return behind
-
-
 def _ended_by(signalled: BaseException) -> int:
-    return _fail("terminated.", 143) if isinstance(signalled, _Terminated) else _fail("interrupted.", 130)
+    return _fail("terminated.", 143) if isinstance(signalled, Terminated) else _fail("interrupted.", 130)
 
 
 def _fail(why: str, code: int) -> int:

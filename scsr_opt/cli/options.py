@@ -20,6 +20,7 @@ from scsr_opt.report.progress import LineProgress, RichProgress
 if TYPE_CHECKING:
     import scsr_opt.calibration.maps
     import scsr_opt.camera
+    import scsr_opt.camera.stream
     import scsr_opt.camera.white
 
 
@@ -128,17 +129,30 @@ class Reading:
         """Opens `file` as it is; with the crop, (top, left, height, width). **Raises:** as `open`."""
         from scsr_opt.camera import read_recording
 
+        return self._corrected(read_recording(file, key=self.array, **self._layout()))
+
+    def stream(self, descriptor: int) -> "tuple[scsr_opt.camera.stream.FrameStream, tuple[int, int, int, int] | None]":
+        """Opens a stream; with the crop. **Raises:** `InputError` if it cannot be read in this way."""
+        from scsr_opt.camera.stream import open_stream
+
+        if self.array is not None:
+            raise InputError(f"--array {self.array} is the name of an array in a file, but a stream has none.")
+        if self.size is None:
+            raise InputError("A stream does not hold the size of its frames: give --size WIDTHxHEIGHT.")
+        stream = open_stream(descriptor, **self._layout())
+        stream.recording, crop = self._corrected(stream.recording)
+        return stream, crop
+
+    def _layout(self) -> dict[str, Any]:
+        """Arguments of `read_recording` that hold for any kind of recording."""
+        names = ("size", "flip", "row_bits", "white_rate", "readout_rate", "bad_pixels")
+        return {name: getattr(self, name) for name in names}
+
+    def _corrected(
+        self, recording: "scsr_opt.camera.Recording"
+    ) -> "tuple[scsr_opt.camera.Recording, tuple[int, int, int, int] | None]":
+        """The recording with the calibration applied, and the crop."""
         crop = None if self.crop is None else _rectangle(self.crop)
-        recording = read_recording(
-            file,
-            size=self.size,
-            flip=self.flip,
-            row_bits=self.row_bits,
-            key=self.array,
-            white_rate=self.white_rate,
-            readout_rate=self.readout_rate,
-            bad_pixels=self.bad_pixels,
-        )
         if crop is not None:
             recording.crop(*crop)
         maps = self.maps()

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, ShownWhite, Whole, moments, progress, say_failure
+from scsr_opt.cli.live import follow, live_output
+from scsr_opt.cli.options import Overwrite, Quiet, Reading, ShownWhite, Whole, moments, progress, say_failure
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
@@ -33,29 +34,53 @@ Rate = Annotated[float | None, Parameter(help="Pictures per second of a film. De
 
 
 def sequence(
-    file: File,
+    file: Annotated[
+        Path,
+        Parameter(
+            help="The recording: .dat (flat, packed), .npz, .npy, .h5 or .hdf5. -: a stream of frames as in a .dat, "
+            "from standard input.",
+            allow_leading_hyphen=True,
+        ),
+    ],
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help=f"What to write. {_OUTPUT}")],
+    output: Annotated[
+        Path,
+        Parameter(
+            name=["--output", "-o"],
+            help=f"What to write. {_OUTPUT} Of a stream: a folder, or with --latest a .png, .tif or .npz.",
+        ),
+    ],
     scale: Annotated[
         Whole, Parameter(help="Pixels of the pictures per sensor pixel, along each axis: 1, 2, 3, 4, …")
     ] = 4,
     start: Annotated[Whole, Parameter(help="First frame to show.")] = 0,
     stop: Annotated[Whole | None, Parameter(help="Frame before which the sequence ends. Default: the end.")] = None,
     every: Annotated[
-        Whole | None, Parameter(help="Frames from one picture to the next. Default: about 25 pictures in all.")
+        Whole | None,
+        Parameter(
+            help="Frames from one picture to the next. Default: about 25 pictures in all; a stream needs a number."
+        ),
     ] = None,
+    latest: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            show_default=False,
+            help="Of a stream: write the newest picture alone, to the file OUTPUT, which each one replaces.",
+        ),
+    ] = False,
     frames: Annotated[
         Whole | None, Parameter(help="Use only this number of frames around each key frame. Default: 101.")
     ] = None,
     group: Annotated[
-        Whole,
+        Whole | None,
         Parameter(
             help="Pictures in a group. The pictures of a group are solved for one after the other, each from the one "
             "before; the first starts from nothing. An interruption costs one group at most; a worker gets one group "
-            "at a time."
+            "at a time. Default: 10."
         ),
-    ] = 10,
+    ] = None,
     workers: Annotated[
         Whole | None, Parameter(help="Solve in this number of processes; the pictures are the same. Default: in one.")
     ] = None,
@@ -81,33 +106,37 @@ def sequence(
     was interrupted continues when the same command is given again, and its pictures are the same, bit for bit, as those
     of an undisturbed run. Unless the output is a .zarr, pictures are kept in OUTPUT.unfinished.zarr until all of them
     are solved for.
+
+    Of a stream (FILE is -), each picture is solved for alone, while the stream goes on. Key frames that come meanwhile
+    are dropped, except the newest one, and counted.
     """
+    solving, reading = solving or Solving(), reading or Reading()
+    for name, value in (("scale", scale), ("frames", frames), ("group", group), ("workers", workers)):
+        if value is not None and value < 1:
+            raise InputError(f"--{name} is {value}, but it must be at least 1.")
+    solving.check()
+    choices: dict[str, Any] = {} if frames is None else {"frames": frames}
+    if str(file) == "-":
+        _refuse_for_streams(every, group=group, workers=workers, scheduler=scheduler, rate=rate)
+        place = live_output(output, latest=latest, bits=bits, gamma=gamma, overwrite=overwrite)
+        picked = {"scale": scale, "every": every, "start": start, "stop": stop, "white": white, **choices}
+        return follow(output, place, reading, solving, quiet=quiet, **picked)
+    if str(file).startswith("-"):
+        raise InputError(f"Unknown option: {file}; a file of that name is ./{file}.")
+    if latest:
+        raise InputError("--latest is for a stream, whose FILE is -: leave it out, or take scsr solve for one picture.")
+
     from scsr_opt.sequences.outputs import SequenceFormat, real_time
 
     chosen = SequenceFormat.of(output, bits=bits, gamma=gamma, rate=rate, white=white)
     chosen.check(overwrite)
     if not chosen.is_store and output.is_file() and file.is_file() and output.samefile(file):
         raise InputError(f"--output {output} is the file that is read: give the output another name.")
-    for name, value in (("scale", scale), ("frames", frames), ("group", group), ("workers", workers)):
-        if value is not None and value < 1:
-            raise InputError(f"--{name} is {value}, but it must be at least 1.")
     if workers is not None and scheduler is not None:
         raise InputError("--workers starts workers here, --scheduler uses those of a cluster: give one of the two.")
-    solving = solving or Solving()
-    solving.check()
-    recording, crop = (reading or Reading()).whole(file)
+    recording, crop = reading.whole(file)
     keys = moments(recording, start, stop, every, about=_PICTURES, option="every")
-    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
-
-    from scsr_opt.motion import Estimator
-
-    if not isinstance(choices.get("motion"), Estimator | None):
-        raise InputError(
-            f"--motion {solving.motion} is the velocity at one moment, but a sequence has many: give auto, none, "
-            f"phase, global, dense, ilk or tvl1."
-        )
-    if frames is not None:
-        choices["frames"] = frames
+    choices |= reading.corrections() | solving.several(recording, scale, crop)
 
     from scsr_opt.sequences.cluster import Workers
     from scsr_opt.sequences.plan import Plan
@@ -118,7 +147,9 @@ def sequence(
             print(f"scsr: dashboard of the workers: {dashboard}", file=sys.stderr, flush=True)
 
     many = None if workers is None and scheduler is None else Workers(workers, scheduler, started)
-    plan = Plan.of(recording, keys, scale=scale, group=group, white=white, **choices)
+    if group is not None:
+        choices["group"] = group
+    plan = Plan.of(recording, keys, scale=scale, white=white, **choices)
     begin = time.perf_counter()
     done = write_sequence(plan, chosen, workers=many, overwrite=overwrite, progress=progress(quiet))
     seconds = time.perf_counter() - begin
@@ -129,6 +160,15 @@ def sequence(
         if chosen.is_film:
             print(real_time(recording.readout_rate, keys.step, chosen.rate))
     return _failures(done.failed, len(keys))
+
+
+def _refuse_for_streams(every: int | None, **others: Any) -> None:
+    """**Raises:** `InputError` for `others` that were given, or without `every`."""
+    for name, value in others.items():
+        if value is not None:
+            raise InputError(f"--{name} is not for a stream, whose pictures are solved for one by one: leave it out.")
+    if every is None:
+        raise InputError("A stream needs --every N, frames from one picture to the next, as its length is not known.")
 
 
 def export(

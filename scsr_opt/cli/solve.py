@@ -22,9 +22,11 @@ from scsr_opt.cli.options import (
 )
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
+from scsr_opt.progress import Progress
 
 if TYPE_CHECKING:
-    pass
+    from scsr_opt.pipeline.solution import Solution
+    from scsr_opt.report.summary import Report
 
 FIGURE_ENDINGS = (".png", ".pdf", ".svg")
 
@@ -84,28 +86,8 @@ def solve(
             raise InputError(f"--{name} is {value}, but it must be at least 1.")
     solving = solving or Solving()
     solving.check()
-    started = time.perf_counter()
-    recording, crop = (reading or Reading()).whole(file)
-    moment = key_frame(recording, key)
-    choices = (reading or Reading()).corrections() | solving.arguments(recording, scale, crop)
-
-    from scsr_opt import reconstruct
-    from scsr_opt.camera.white import White
-    from scsr_opt.report.summary import Report
-
-    read = time.perf_counter()
-    solution = reconstruct(
-        recording,
-        scale=scale,
-        key=moment,
-        progress=progress(quiet),
-        **({} if frames is None else {"frames": frames}),
-        **choices,
-    )
-    seconds = {"read": read - started, "solve": time.perf_counter() - read}
-    if white is not None:
-        solution = replace(solution, white=White.given(white))
-    said = Report.of(solution, seconds=seconds)
+    meter = progress(quiet)
+    solution, said = solved(file, solving, reading or Reading(), scale, key, frames, white, meter)
     if report is not None:
         said.write(report)
     if not solution.status.usable:
@@ -129,6 +111,39 @@ def solve(
             )
         )
     return 0
+
+
+def solved(
+    file: Path,
+    solving: Solving,
+    reading: Reading,
+    scale: int,
+    key: int | None,
+    frames: int | None,
+    white: float | None,
+    meter: Progress,
+) -> "tuple[Solution, Report]":
+    """The picture of one moment of a recording by options of the command line, and its numbers.
+
+    **Raises:** `InputError` for what cannot be read, or does not go with the recording.
+    """
+    started = time.perf_counter()
+    recording, crop = reading.whole(file)
+    moment = key_frame(recording, key)
+    choices = reading.corrections() | solving.arguments(recording, scale, crop)
+    if frames is not None:
+        choices["frames"] = frames
+
+    from scsr_opt import reconstruct
+    from scsr_opt.camera.white import White
+    from scsr_opt.report.summary import Report
+
+    read = time.perf_counter()
+    solution = reconstruct(recording, scale=scale, key=moment, progress=meter, **choices)
+    seconds = {"read": read - started, "solve": time.perf_counter() - read}
+    if white is not None:
+        solution = replace(solution, white=White.given(white))
+    return solution, Report.of(solution, seconds=seconds)
 
 
 def _camera_lines(found: Any) -> list[str]:

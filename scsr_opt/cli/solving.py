@@ -180,6 +180,23 @@ class Solving:
         }
         return {name: value for name, value in given.items() if value is not None}
 
+    def several(
+        self, recording: "scsr_opt.camera.Recording", scale: int, crop: tuple[int, int, int, int] | None
+    ) -> dict[str, Any]:
+        """As `arguments`, for the pictures of many moments.
+
+        **Raises:** `InputError` as well for a motion that holds at one moment.
+        """
+        from scsr_opt.motion import Estimator
+
+        found = self.arguments(recording, scale, crop)
+        if not isinstance(found.get("motion"), Estimator | None):
+            raise InputError(
+                f"--motion {self.motion} is the velocity at one moment, but a sequence has many: give auto, none, "
+                f"phase, global, dense, ilk or tvl1."
+            )
+        return found
+
     def _samples(self, recording: "scsr_opt.camera.Recording") -> Any:
         if self.samples == "intervals":
             return None

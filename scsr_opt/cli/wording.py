@@ -1,4 +1,4 @@
-"""An error of any kind as one sentence, as `scsr` says it."""
+"""An error of any kind as one sentence, as `scsr` says it; signals, which are no errors."""
 
 import os
 import re
@@ -10,6 +10,19 @@ from scsr_opt.errors import InputError
 
 # Where the parser begins another sentence.
 _NEXT = re.compile(r"[.?]\s+(Did you mean|Choose from|Only got|Got|Use|This option)\b")
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived; raised wherever the program is, so that files half written are removed."""
+
+
+def signal_behind(error: BaseException) -> BaseException | None:
+    """The exception of a signal that Python or a library turned into another error, as during an import; None
+    if there was no signal."""
+    behind: BaseException | None = error
+    while behind is not None and not isinstance(behind, KeyboardInterrupt | Terminated):
+        behind = behind.__cause__ or behind.__context__
+    return behind
 
 
 def sentence(error: Exception) -> str:

@@ -272,6 +272,17 @@ class Options:
         return isinstance(self.gain, str) and self.gain in ("auto", "blind")
 
     @property
+    def most_frames(self) -> int:
+        """Frames around a key frame, at most, that are read for its picture: those that are used, and those by which
+        bad pixels and changes of the light are found."""
+        read = [int(self.frames)]
+        if self.finds_bad_pixels:
+            read.append(self.settings.bad_pixels.evidence_frames)
+        if self.light != "constant":
+            read.append(self.settings.motion.light.stretch_frames)
+        return max(read)
+
+    @property
     def known_gain(self) -> Float[np.ndarray, "h w"] | None:
         """The gains that were given, (h, w); None for 1, and where they are to be found."""
         return None if self.finds_gain else self.gain  # type: ignore[return-value]

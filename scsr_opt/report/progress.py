@@ -64,7 +64,10 @@ class LineProgress:
         while not ended.wait(max(self._next - time.monotonic(), 0)):
             self._next = time.monotonic() + self._every  # from now on: a compiler may have held all threads up
             fast = speed(self._done, self._total, time.monotonic() - self._part_began)
-            of = "" if self._total is None else f": {self._done} of {self._total}{fast and f', {fast}'}"
+            if self._total is None:
+                of = f": {self._done} done" if self._done else ""
+            else:
+                of = f": {self._done} of {self._total}{fast and f', {fast}'}"
             said = f"scsr: {self._what[:1].lower()}{self._what[1:]}{of} ({time.monotonic() - began:.0f} s)"
             print(said, file=self._file or sys.stderr, flush=True)
 

@@ -21,15 +21,23 @@ from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
-from scsr_opt.sequences.store import Picture, SequenceStore, is_store
+from scsr_opt.sequences.files import writing
+from scsr_opt.sequences.layout import is_store
+from scsr_opt.sequences.store import Picture, SequenceStore
 
 STORE = ".zarr"
 # Of the store beside an output. It is removed at the end, so that no user's own store may bear its name, such as
 # car.zarr beside the folder car.
 _UNFINISHED = f".unfinished{STORE}"
 ARRAYS = (".npz", ".npy")
-_STILLS = {8: ".png", 16: ".png", 32: ".tif"}
-_TABLE, _IMAGES = "times.csv", "images"
+# File in that store from when the output is begun on: an output that is there then is the store's own.
+_BEGUN = "output.begun"
+STILLS = {8: ".png", 16: ".png", 32: ".tif"}
+"""Endings of the pictures of a folder by their bits."""
+TABLE, IMAGES = "times.csv", "images"
+"""Table and folder of the pictures in an output that is a folder."""
+COLUMNS = ["number", "file", "key_frame", "seconds", "status", "motion_from"]
+"""Columns of a table of times."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,7 @@ class SequenceFormat:
         if ending in FILM_ENDINGS:
             check_film(path, rate=made.rate, gamma=made.gamma)
         elif not ending:
-            PictureFormat.of(f"a{_STILLS.get(made.bits, '.png')}", bits=made.bits, gamma=made.gamma)
+            PictureFormat.of(f"a{STILLS.get(made.bits, '.png')}", bits=made.bits, gamma=made.gamma)
         return made
 
     @property
@@ -121,8 +129,17 @@ class SequenceFormat:
         """The files, or the folder, that are written in the end."""
         return [self.path, self.path.with_suffix(".csv")] if self.ending == ".npy" else [self.path]
 
+    def begin(self) -> None:
+        """Notes in the store that the outputs are written from now on: a run that goes on after a kill replaces them.
+
+        **Raises:** `InputError` if the store cannot be written.
+        """
+        with writing(self.store):
+            (self.store / _BEGUN).touch()
+
     def check(self, overwrite: bool) -> None:
-        """Finds out before the work whether the outputs can be written.
+        """Finds out before the work whether the outputs can be written. Those that a run of this output had begun when
+        it was killed may be replaced.
 
         **Raises:** `InputError` if one cannot, is there already and may not be overwritten, or is inside of a store.
         """
@@ -131,16 +148,17 @@ class SequenceFormat:
             raise InputError(f"{self.path} is in the store {around}: give a name outside of it.")
         if self.is_store:
             return  # `write_sequence` goes on with it, or refuses it
+        replaced = overwrite or (is_store(self.store) and (self.store / _BEGUN).exists())
         for path in self.outputs:
             if not self.ending and os.path.isdir(path):
                 check_writable(path.with_name(f"{path.name}.new"))  # its place, as it is replaced as a whole
-                if not set(os.listdir(path)) <= {_TABLE, _IMAGES}:
+                if not set(os.listdir(path)) <= {TABLE, IMAGES}:
                     raise InputError(
-                        f"{path} is a folder with other files than {_IMAGES} and {_TABLE}: give another name."
+                        f"{path} is a folder with other files than {IMAGES} and {TABLE}: give another name."
                     )
             else:
                 check_writable(path)
-            if path.exists() and not overwrite:
+            if path.exists() and not replaced:
                 raise InputError(f"{path} is there already: give --overwrite to replace it, or another name.")
 
 
@@ -210,15 +228,15 @@ def _write_film(store: SequenceStore, pictures: list[Picture], chosen: SequenceF
 def _write_folder(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
     new, old = (chosen.path.with_name(f".{chosen.path.name}.{what}") for what in ("new", "old"))
     white = (store.white.level if chosen.white is None else chosen.white) if chosen.bits == 8 else 1.0
-    names = _names(pictures, _STILLS[chosen.bits])
+    names = _names(pictures, STILLS[chosen.bits])
     try:
         for left in (new, old):  # by an export that was killed
             shutil.rmtree(left, ignore_errors=True)
-        (new / _IMAGES).mkdir(parents=True)
+        (new / IMAGES).mkdir(parents=True)
         for name, image in zip(names, read_meanwhile(_images(store, meter)), strict=True):
             if name is not None:
-                write_picture(new / _IMAGES / name, image, bits=chosen.bits, gamma=chosen.gamma, white=white)
-        with open(new / _TABLE, "w", newline="", encoding="utf-8") as file:
+                write_picture(new / IMAGES / name, image, bits=chosen.bits, gamma=chosen.gamma, white=white)
+        with open(new / TABLE, "w", newline="", encoding="utf-8") as file:
             _write_table(file, pictures, names)
         if chosen.path.exists():
             os.replace(chosen.path, old)
@@ -276,10 +294,14 @@ def _write_array(file: Any, shape: tuple[int, ...], items: Iterator[np.ndarray])
 def _write_table(file: Any, pictures: list[Picture], names: list[str | None]) -> None:
     """The times of the pictures, with the name of each one's file if it has one."""
     rows = csv.writer(file, lineterminator="\n")
-    rows.writerow(["number", "file", "key_frame", "seconds", "status", "motion_from"])
-    for one, name in zip(pictures, names, strict=True):
-        status = "" if one.status is None else one.status.name
-        rows.writerow([one.number, name or "", one.key, repr(one.seconds), status, one.motion_from])
+    rows.writerow(COLUMNS)
+    rows.writerows(row_of(one, name) for one, name in zip(pictures, names, strict=True))
+
+
+def row_of(picture: Picture, name: str | None) -> list[Any]:
+    """The row of a picture in a table of times, in the order of `COLUMNS`."""
+    status = "" if picture.status is None else picture.status.name
+    return [picture.number, name or "", picture.key, repr(picture.seconds), status, picture.motion_from]
 
 
 def _names(pictures: list[Picture], ending: str) -> list[str | None]:

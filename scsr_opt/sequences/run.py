@@ -13,9 +13,11 @@ from scsr_opt.errors import InputError
 from scsr_opt.pipeline.sequence import common, reconstruct_sequence
 from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.sequences.cluster import Workers, solve_by_workers
+from scsr_opt.sequences.files import held, remove, tidy
+from scsr_opt.sequences.layout import STATUS_CODES, is_store, need_zarr
 from scsr_opt.sequences.outputs import SequenceFormat, export
 from scsr_opt.sequences.plan import Plan
-from scsr_opt.sequences.store import STATUS_CODES, Picture, SequenceStore, held, is_store, need_zarr, remove, tidy
+from scsr_opt.sequences.store import Picture, SequenceStore
 
 Result = TypeVar("Result")
 
@@ -92,6 +94,7 @@ def write_sequence(
             raise InputError(f"{missing} of {pictures} pictures are missing in {place}: give the command again.")
         if chosen.path != place:
             if len(written.failed) < pictures:
+                chosen.begin()
                 export(store, chosen, overwrite=overwrite, progress=meter)
             remove(place)
     return written

@@ -1,26 +1,14 @@
-"""`SequenceStore`: the pictures of a sequence as a Zarr v3 group with OME-Zarr 0.5 metadata.
-
-    image        (T, H, W)     float32  intensity, 1 = white; one chunk a picture
-    velocity     (T, 2, h, w)  float32  sensor pixels per frame, down and right
-    confidence   (T, h, w)     float32  of the velocity, 0 to 1
-    t, y, x      (T,) (H,) (W,)         seconds, sensor pixels: the coordinates of `image`
-    key_frame    (T,)                   of each picture
-    status       (T,)          uint8    0: not there; others: how the solve ended (its attribute `meanings`)
-    motion_from  (T,)                   key frame at which the motion was estimated; another one where it was carried on
-    iterations, strength  (T,)          of the solve
-    bad_pixels   (h, w)        uint8    pixels that were not used, by kind (`calibration.PixelKind`)
+"""`SequenceStore`: pictures of a sequence written and read, in the layout of `layout`.
 
 Every chunk carries a checksum and is written under another name first, so that it is whole or absent. `status` has one
 chunk for each group of pictures, written last: a group whose chunk is missing is solved again from its beginning. A
 second run would do the same work and write the same bits; a lock keeps it from wasting them.
 """
 
-import fcntl
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,38 +20,15 @@ from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.pipeline.solution import Solution
-from scsr_opt.sequences.plan import Plan, described, differences, groups_of, versions
+from scsr_opt.sequences.files import beside, writing
+from scsr_opt.sequences.layout import FORMAT, METADATA, PICTURE, RESULTS, fixed_arrays, lay_out, need_zarr, status_of
+from scsr_opt.sequences.plan import Plan, differences, groups_of, versions
 from scsr_opt.solvers.record import Status
 
 if TYPE_CHECKING:
     import zarr
 
-FORMAT = 1
-"""Number of this layout of arrays and attributes; a store with another one is refused."""
-STATUS_CODES = {status: number for number, status in enumerate(Status, 1)}
-"""Numbers of `status`; 0 is a picture that is not there."""
-
-_METADATA = "zarr.json"
 _SPIKES = "spikes is "
-_PICTURE = ("image", "velocity", "confidence")  # arrays with a chunk for each picture
-# Arrays with a number for each picture, a chunk for each group: type, and value where there is no picture.
-_RESULTS = {
-    "motion_from": ("int64", -1),
-    "iterations": ("int32", 0),
-    "strength": ("float64", float("nan")),
-    "status": ("uint8", 0),
-}
-
-
-def need_zarr() -> Any:
-    """The package zarr. **Raises:** `InputError` if it is not installed."""
-    try:
-        import zarr
-    except ImportError:
-        raise InputError(
-            "A sequence needs the package zarr, which is not installed: pip install 'scsr-opt[sequence]'."
-        ) from None
-    return zarr
 
 
 class Picture(NamedTuple):
@@ -101,11 +66,11 @@ class SequenceStore:
 
         **Raises:** `InputError` if it cannot be written.
         """
-        new, old = _beside(path, "new"), _beside(path, "old")
-        with _writing(path):
+        new, old = beside(path, "new"), beside(path, "old")
+        with writing(path):
             for left in (new, old):  # by a run that was killed
                 shutil.rmtree(left, ignore_errors=True)
-            _lay_out(new, plan, bad_pixels, white)
+            lay_out(new, plan, bad_pixels, white)
             if path.exists():
                 os.replace(path, old)
             os.replace(new, path)
@@ -120,14 +85,14 @@ class SequenceStore:
             raise InputError(f"There is no store {path}: check the path, or make one with scsr sequence.")
         no_store = f"{path} is no store of a sequence of pictures: name one that scsr sequence made."
         try:
-            metadata = (place / _METADATA).read_bytes()
+            metadata = (place / METADATA).read_bytes()
             found = json.loads(metadata)["attributes"]["scsr"]["format"]
         except FileNotFoundError:
             raise InputError(no_store) from None
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror}.") from error
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{no_store[:-1]}, or remove it if its {_METADATA} is damaged.") from error
+            raise InputError(f"{no_store[:-1]}, or remove it if its {METADATA} is damaged.") from error
         if found != FORMAT:
             raise InputError(
                 f"{path} has format {found}, but this version of scsr-opt reads format {FORMAT}: read it with the "
@@ -141,14 +106,14 @@ class SequenceStore:
             raise
         except Exception as error:  # zarr raises many kinds, one for each thing that may be damaged
             raise InputError(
-                f"{path} is damaged ({_said(error)}): remove it and make it anew, or restore its {_METADATA} files."
+                f"{path} is damaged ({_said(error)}): remove it and make it anew, or restore its {METADATA} files."
             ) from error
         return store
 
     def _check_arrays(self) -> None:
         pictures = len(self.keys)
         fixed = ("y", "x", "bad_pixels")
-        names = (*_PICTURE, "t", "key_frame", *fixed, *_RESULTS)
+        names = (*PICTURE, "t", "key_frame", *fixed, *RESULTS)
         wrong = [name for name in names if name not in self._arrays or name not in fixed and
                  self._array(name).shape[0] != pictures]  # fmt: skip
         if wrong:
@@ -210,7 +175,7 @@ class SequenceStore:
         if not solution.status.usable:
             return
         self._check_present()
-        with _writing(self.path):
+        with writing(self.path):
             self._array("image")[number] = solution.image
             for name, values in (("velocity", solution.velocity), ("confidence", solution.confidence)):
                 self._array(name)[number] = np.nan if values is None else values
@@ -223,8 +188,8 @@ class SequenceStore:
         **Raises:** as `write_picture`.
         """
         self._check_present()
-        with _writing(self.path):
-            for name, (kind, _) in _RESULTS.items():  # `status` is the last one
+        with writing(self.path):
+            for name, (kind, _) in RESULTS.items():  # `status` is the last one
                 self._array(name)[numbers.start : numbers.stop] = np.array(solutions[name], kind)
 
     def unfinished(self, solved: Any = None) -> list[int]:
@@ -243,7 +208,7 @@ class SequenceStore:
 
     def _is_whole(self, group: range) -> bool:
         try:
-            for name in _RESULTS:
+            for name in RESULTS:
                 codes = self._read(name, slice(group.start, group.stop))
             for number, code in zip(group, codes, strict=True):
                 status = self._status(number, int(code))
@@ -259,8 +224,8 @@ class SequenceStore:
 
     def _status(self, number: int, code: int) -> Status | None:
         """How the solve of a picture ended by its code; None if one of its chunks is not there."""
-        status = _status(code)
-        names = (*_RESULTS, *_PICTURE) if status is not None and status.usable else _RESULTS
+        status = status_of(code)
+        names = (*RESULTS, *PICTURE) if status is not None and status.usable else RESULTS
         return status if all(self._has_chunk(name, number) for name in names) else None
 
     def _has_chunk(self, name: str, number: int) -> bool:
@@ -286,8 +251,8 @@ class SequenceStore:
             return self._has_chunk(name, 0) and (values is None or np.array_equal(there, values))
 
         bad = None if whole("bad_pixels") else find()
-        with _writing(self.path):
-            for name, values in _fixed(plan, bad).items():
+        with writing(self.path):
+            for name, values in fixed_arrays(plan, bad).items():
                 if not whole(name, None if name == "bad_pixels" else values):
                     self._array(name)[:] = values
 
@@ -323,191 +288,11 @@ class SequenceStore:
     def _check_present(self) -> None:
         """**Raises:** `InputError` if the store is not the one that was opened: pictures must not be mixed."""
         try:
-            same = (self.path / _METADATA).read_bytes() == self._metadata
+            same = (self.path / METADATA).read_bytes() == self._metadata
         except OSError:
             same = False
         if not same:
             raise InputError(f"{self.path} was removed or replaced while it was written: give the command again.")
-
-
-@contextmanager
-def held(path: Path) -> Iterator[None]:
-    """The lock of the store `path`, for this process; the system takes it back from a process that ended in any way.
-
-    **Raises:** `InputError` if another run has it, or it cannot be made.
-    """
-    file = _beside(path, "lock")
-    if not path.parent.is_dir():
-        raise InputError(f"Cannot write {path}: the folder {path.parent} does not exist; make it first.")
-    with _writing(path):
-        descriptor = _locked(file)
-    if descriptor is None:
-        raise InputError(f"{path} is being written by another run of scsr sequence: wait for it, or end it.")
-    try:
-        yield
-    finally:
-        file.unlink(missing_ok=True)
-        os.close(descriptor)
-
-
-def _locked(file: Path) -> int | None:
-    """A descriptor of the file that holds its lock; None if another process does."""
-    while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            there = os.stat(file) if file.exists() else None
-            if there is not None and there.st_ino == os.fstat(descriptor).st_ino:
-                return descriptor
-        except BlockingIOError:
-            os.close(descriptor)
-            return None
-        except BaseException:
-            os.close(descriptor)
-            raise
-        os.close(descriptor)  # whoever held the lock removed the file in between
-
-
-def tidy(path: Path) -> None:
-    """Removes what a killed run left: chunks half-written, and the remains of a store that it replaced or removed."""
-    for left in path.rglob("*.partial"):
-        left.unlink(missing_ok=True)
-    for what in ("new", "old"):
-        shutil.rmtree(_beside(path, what), ignore_errors=True)
-
-
-def remove(path: Path) -> None:
-    """Removes a store at once, so that a kill does not leave half of it; to be called with its lock held."""
-    old = _beside(path, "old")
-    shutil.rmtree(old, ignore_errors=True)
-    with _writing(path):
-        os.replace(path, old)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def is_store(path: Path) -> bool:
-    """Whether `path` is a folder that `SequenceStore.create` made, whatever its version and state."""
-    try:
-        return "scsr" in json.loads((path / _METADATA).read_bytes())["attributes"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def _lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) -> None:
-    """Makes the group and its arrays, with those that do not wait for pictures filled in."""
-    zarr = need_zarr()
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    scale, pictures = plan.scale, len(plan.keys)
-    height, width = plan.part.height, plan.part.width
-    rate = plan.recording.readout_rate
-    fixed = _fixed(plan, bad_pixels)
-    step = [plan.keys.step / rate, 1 / scale, 1 / scale]
-    begin = [float(fixed[name][0]) for name in ("t", "y", "x")]
-    attributes = {
-        "ome": {
-            "version": "0.5",
-            "multiscales": [
-                {
-                    "name": plan.recording.name,
-                    "axes": [
-                        {"name": "t", "type": "time", "unit": "second"},
-                        {"name": "y", "type": "space", "unit": "pixel"},
-                        {"name": "x", "type": "space", "unit": "pixel"},
-                    ],
-                    "datasets": [
-                        {
-                            "path": "image",
-                            "coordinateTransformations": [
-                                {"type": "scale", "scale": step},
-                                {"type": "translation", "translation": begin},
-                            ],
-                        }
-                    ],
-                }
-            ],
-            "omero": {
-                "channels": [
-                    {
-                        "label": "intensity",
-                        "color": "FFFFFF",
-                        "active": True,
-                        "window": {"min": 0.0, "max": max(1.0, white.level), "start": 0.0, "end": white.level},
-                    }
-                ],
-                "rdefs": {"model": "greyscale"},
-            },
-        },
-        "scsr": {
-            "format": FORMAT,
-            "versions": versions(),
-            "sequence": plan.description,
-            "white": described(white) | {"kind": None},
-            "bad_pixels": bad_pixels is not None,
-        },
-    }
-    attributes["scsr"]["white"].pop("kind")
-    arrays = zarr.create_group(path, zarr_format=3, attributes=attributes)
-    checked = Crc32cCodec()
-
-    def add(name: str, shape: tuple[int, ...], chunks: tuple[int, ...], names: tuple[str, ...], **others: Any) -> Any:
-        packed = (ZstdCodec(level=1), checked) if len(shape) > 1 else (checked,)
-        kinds = {"dtype": "float32", "fill_value": float("nan"), "compressors": packed}
-        return arrays.create_array(name, shape=shape, chunks=chunks, dimension_names=names, **{**kinds, **others})
-
-    size = (scale * height, scale * width)
-    add("image", (pictures, *size), (1, *size), ("t", "y", "x"))
-    add("velocity", (pictures, 2, height, width), (1, 2, height, width), ("t", "direction", "row", "column"))
-    add("confidence", (pictures, height, width), (1, height, width), ("t", "row", "column"))
-    for name, (kind, missing) in _RESULTS.items():
-        add(name, (pictures,), (plan.group,), ("t",), dtype=kind, fill_value=missing)
-    arrays["status"].attrs["meanings"] = {"0": "not there"} | {
-        str(code): status.message for status, code in STATUS_CODES.items()
-    }
-    for name, values in fixed.items():
-        kinds = {"dtype": values.dtype, "fill_value": {"f": float("nan"), "i": -1}.get(values.dtype.kind, 0)}
-        names = ("row", "column") if name == "bad_pixels" else (name if name in "tyx" else "t",)
-        add(name, values.shape, values.shape, names, config={"write_empty_chunks": True}, **kinds)[:] = values
-
-
-def _fixed(plan: Plan, bad_pixels: BadPixels | None) -> dict[str, np.ndarray]:
-    """The arrays that do not wait for pictures, by their names."""
-    part, scale = plan.part, plan.scale
-    top, left = (0, 0) if plan.options.crop is None else (int(plan.options.crop[0]), int(plan.options.crop[1]))
-    # Centres of the pixels, in sensor pixels whose centres are whole numbers.
-    first = 0.5 / scale - 0.5
-    return {
-        "t": np.asarray(plan.keys) / plan.recording.readout_rate,
-        "y": top + first + np.arange(scale * part.height) / scale,
-        "x": left + first + np.arange(scale * part.width) / scale,
-        "key_frame": np.asarray(plan.keys, np.int64),
-        "bad_pixels": np.zeros((part.height, part.width), np.uint8) if bad_pixels is None else bad_pixels.kind,
-    }
-
-
-def _status(code: int) -> Status | None:
-    """**Raises:** `InputError` for a number that stands for nothing."""
-    if code == 0:
-        return None
-    known = {number: status for status, number in STATUS_CODES.items()}
-    if code not in known:
-        raise InputError(f"The store is damaged: it has a status {code}, but there are 0 to {len(known)}.")
-    return known[code]
-
-
-def _beside(path: Path, what: str) -> Path:
-    return path.with_name(f".{path.name}.{what}")
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        why = error.strerror.lower() if error.strerror else str(error)
-        raise InputError(
-            f"Cannot write {path}: {why}; what is in it is not lost, give the same command again when that is mended."
-        ) from error
 
 
 def _said(error: Exception) -> str:

@@ -29,14 +29,29 @@ def test_help_comes_at_once_and_without_jax():
 
 @pytest.mark.parametrize(
     "command",
-    ["info", "calibrate", "simulate", "play", "solve", "baseline", "demo", "warm", "cache", "train", "compare"],
+    [
+        "info",
+        "calibrate",
+        "simulate",
+        "play",
+        "solve",
+        "batch",
+        "sequence",
+        "export",
+        "baseline",
+        "demo",
+        "warm",
+        "cache",
+        "train",
+        "compare",
+    ],  # fmt: skip
 )
 def test_help_of_every_command(scsr, command):
     said = scsr(command, "--help")
     assert f"scsr {command}" in said
-    if command in ("info", "play", "solve", "baseline", "compare"):
+    if command in ("info", "play", "solve", "batch", "sequence", "baseline", "compare"):
         assert "Spikes per frame" in said and "Hz" in said  # units
-    if command in ("simulate", "solve"):
+    if command in ("simulate", "solve", "batch", "sequence"):
         assert "sensor pixels per frame" in " ".join(said.replace("│", " ").split())
 
 

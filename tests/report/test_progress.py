@@ -39,6 +39,17 @@ def test_lines_appear_without_a_step_and_count_through_parts(log):
     assert lines_of(log) == lines  # nothing after the end
 
 
+def test_lines_count_where_nobody_knows_how_many_there_are(log):
+    progress = LineProgress(every=0.05, file=log)
+    progress.start(None, "Solving")
+    progress.advance(4)
+    until = time.monotonic() + 10
+    while not lines_of(log) and time.monotonic() < until:
+        time.sleep(0.01)
+    progress.finish()
+    assert re.fullmatch(r"scsr: solving: 4 done \(\d+ s\)", lines_of(log)[0])
+
+
 def test_short_work_shows_no_line(log):
     progress = LineProgress(every=30.0, file=log)
     progress.start(2, "Solving")

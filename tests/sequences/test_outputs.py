@@ -122,7 +122,58 @@ def test_an_output_that_was_interrupted_goes_on_from_its_store(tmp_path, plan, s
     assert sorted(os.listdir(tmp_path)) == ["b.gif", "noise.npy"]
 
 
-@pytest.mark.parametrize("output", ["b.npz", "b.npy", "b", "b.gif"])
+OUTPUTS = ["b.npz", "b.npy", "b", "b.gif"]
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_a_kill_before_the_store_is_removed_is_gone_on_from(tmp_path, plan, stand_in, monkeypatch, files, output):
+    """The output is there, and its store proves that it is of this plan. Of a .npy, the table may be missing."""
+    (tmp_path / "whole").mkdir()
+    write_sequence(plan, tmp_path / "whole" / output)
+    (tmp_path / "killed").mkdir()
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("scsr_opt.sequences.run.remove", killed)
+        write_sequence(plan, tmp_path / "killed" / output)
+    assert {output, f"{output}.unfinished.zarr"} <= set(os.listdir(tmp_path / "killed"))
+    (tmp_path / "killed" / "b.csv").unlink(missing_ok=True)
+    stand_in.solved.clear()
+    assert write_sequence(plan, tmp_path / "killed" / output).there == 10 and stand_in.solved == []
+    if output == "b.npz":  # the archive holds the time at which it was written
+        assert arrays(tmp_path / "killed" / output) == arrays(tmp_path / "whole" / output)
+        assert os.listdir(tmp_path / "killed") == [output]
+    else:
+        assert files(tmp_path / "killed") == files(tmp_path / "whole")
+
+
+def killed(*_) -> None:
+    raise KeyboardInterrupt
+
+
+def arrays(path) -> dict[str, bytes]:
+    with np.load(path) as stored:
+        return {name: stored[name].tobytes() for name in stored.files}
+
+
+def test_an_output_that_another_run_wrote_is_not_replaced(tmp_path, recording, plan, stand_in, monkeypatch):
+    """Neither where the unfinished store had not begun to write one, nor where it is of another plan."""
+    stand_in.stop_after = 6
+    with pytest.raises(KeyboardInterrupt):
+        write_sequence(plan, tmp_path / "b.gif")
+    (tmp_path / "b.gif").write_text("holiday")
+    stand_in.stop_after = None
+    with pytest.raises(InputError, match=r"b\.gif is there already: give --overwrite"):
+        write_sequence(plan, tmp_path / "b.gif")
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("scsr_opt.sequences.run.remove", killed)
+        write_sequence(plan, tmp_path / "c.gif")
+    (tmp_path / "c.gif").write_text("holiday")
+    other = Plan.of(recording, range(3, 40, 4), scale=1, group=4, bad_pixels=None, frames=11)
+    with pytest.raises(InputError, match="holds another sequence"):
+        write_sequence(other, tmp_path / "c.gif")
+    assert (tmp_path / "b.gif").read_text() == (tmp_path / "c.gif").read_text() == "holiday"
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
 def test_a_full_disk_leaves_the_store_and_nothing_else(tmp_path, plan, stand_in, monkeypatch, output):
     def full(*_, **__):
         raise OSError(28, "No space left on device")

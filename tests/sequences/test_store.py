@@ -19,8 +19,8 @@ from scsr_opt.camera.white import White
 from scsr_opt.motion import Global, Motion, Still
 from scsr_opt.priors import HuberTotalVariation
 from scsr_opt.sequences import Plan, SequenceStore, write_sequence
+from scsr_opt.sequences.files import held
 from scsr_opt.sequences.plan import described, differences, versions
-from scsr_opt.sequences.store import held
 
 KEYS = range(3, 40, 4)  # of the fixture `plan`
 GROUPS = [range(0, 4), range(4, 8), range(8, 10)]
@@ -215,7 +215,7 @@ def test_a_creation_that_was_ended_leaves_nothing(tmp_path, plan, stand_in, monk
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr("scsr_opt.sequences.store._lay_out", half)
+        patched.setattr("scsr_opt.sequences.store.lay_out", half)
         write_sequence(plan, tmp_path / "a.zarr")
     assert not (tmp_path / "a.zarr").exists()
     write_sequence(plan, tmp_path / "a.zarr")
@@ -304,7 +304,7 @@ def test_a_second_run_is_refused_until_the_first_one_ends(tmp_path, plan, stand_
 
 def test_a_killed_process_holds_no_lock(tmp_path):
     program = (
-        "import sys, time\nfrom pathlib import Path\nfrom scsr_opt.sequences.store import held\n"
+        "import sys, time\nfrom pathlib import Path\nfrom scsr_opt.sequences.files import held\n"
         "with held(Path(sys.argv[1])):\n    print('held', flush=True)\n    time.sleep(60)"
     )
     process = subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "a.zarr")], stdout=subprocess.PIPE)

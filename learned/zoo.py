@@ -327,17 +327,19 @@ def _centred(name: str, network: Network) -> Optimizer:
 
 @functools.cache
 def best(scale: int) -> NetworkRestoration:
-    """The restoration of `reconstruct(…, quality="best")` for a scale, whose weights are read once.
+    """The restoration of `reconstruct(…, quality="best")`: the network of the scale or the next smaller one that has
+    one, whose weights are read once.
 
-    **Raises:** `InputError` if there are no weights for this scale.
+    **Raises:** `InputError` if there is none.
     """
     scales = sorted(int(file.stem.rpartition("-x")[2]) for file in CHECKPOINTS.glob(f"{CENTRED}-x*.scsr"))
-    if scale not in scales:
+    below = [one for one in scales if one <= scale]
+    if not below:
         raise InputError(
-            f"quality is 'best' and the scale is {scale}, but there are networks for {' and '.join(map(str, scales))} "
-            f"only: take one of these scales, or quality='fast'."
+            f"quality is 'best' and the scale is {scale}, but there are networks from scale {scales[0]} on: take "
+            f"quality='fast'."
         )
-    found = model(CENTRED, scale)
+    found = model(CENTRED, below[-1])
     assert isinstance(found, Optimizer) and found.restoration is not None
     return found.restoration
 

@@ -158,27 +158,36 @@ class _Fold:
     def error(self, strength: float) -> Float[np.ndarray, "2"]:
         """Weighted sum of squares by which the picture of this strength misses the held-out samples, and of weights."""
         self._solve(strength)
-        return self._missed(self.image)
+        missed, weight = self._missed(self.image)
+        return np.array([weight @ missed**2, weight.sum()])
 
-    def restored_errors(self, restoration: Restoration, prior: Prior, strength: float) -> Float[np.ndarray, "2 2"]:
-        """As `error`, of the picture with this prior, and of that with the prior centred at its restoration; NaN where
-        that is not finite."""
+    def difference(
+        self, restoration: Restoration, prior: Prior, strength: float, usual: float | None
+    ) -> Float[np.ndarray, "2"]:
+        """By how much the picture with the prior centred at a restoration misses held-out samples more than the usual
+        picture: weighted sum of the differences of squares, and of their squares; NaN where it is not finite.
+
+        **Arguments:** `prior`, `strength` of the picture that is restored, which is the usual one, too, unless `usual`
+        is given: that strength of the fold's own prior.
+        """
         λ = on_device(np.float32(strength))
         first = run(self._solver, Problem(self._term, prior, λ), self.image).image
         centre = jnp.asarray(restoration(solved(self._term, first, λ)))
         if not bool(jnp.isfinite(centre).all()):
-            return np.full((2, 2), np.nan)
-        again = Problem(
-            self._term, Centred(prior, centre), on_device(np.float32(restoration.strength_ratio * strength))
-        )
-        second = run(self._solver, again, centre).image
-        return np.stack([self._missed(on_device(first)), self._missed(on_device(second))])
+            return np.full(2, np.nan)
+        stronger = on_device(np.float32(restoration.strength_ratio * strength))
+        second = run(self._solver, Problem(self._term, Centred(prior, centre), stronger), centre).image
+        if usual is not None:
+            self._solve(usual)
+        without, weight = self._missed(on_device(first) if usual is None else self.image)
+        differences = weight * (self._missed(on_device(second))[0] ** 2 - without**2)
+        return np.array([differences.sum(), (differences**2).sum()])
 
-    def _missed(self, image: Float[Array, "H W"]) -> Float[np.ndarray, "2"]:
+    def _missed(self, image: Float[Array, "H W"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """By how much a picture misses each held-out sample, and their weights."""
         held = self._split.held
         missed = np.asarray(held.read(blurred(self._plain, image))) - np.asarray(held.value)
-        weight = np.asarray(held.weight, float)  # sums of hundreds of thousands
-        return np.array([weight @ missed**2, weight.sum()])
+        return missed.astype(float), np.asarray(held.weight, float)  # sums of hundreds of thousands
 
     def term(self) -> DataTerm | None:
         """M, c and e of all its samples; None where those of the held-out ones were not summed."""
@@ -192,8 +201,8 @@ class StrengthSearch:
     **Fields:**
     - `scale` s; `prior`, `solver`, `sampling`, `gain` and `optics` as for the reconstruction. `FISTA` stands in for
       solvers that use the prior's proximal step, as it does, and `HuberTotalVariation` for a `RidgeRegulariser`.
-    - `restoration`: what restores the solution, if anything; about its picture held-out samples have to be predicted at
-      least as well as by the solution itself, or, with `by_stand_in`, by that of the stand-in.
+    - `restoration`: what restores the solution, if anything; about its picture held-out samples must not be predicted
+      worse, beyond chance, than by the solution itself, or, with `by_stand_in`, than by that of the stand-in.
     - `noise`: standard deviation of a pixel's mean (`noise_of_mean`), intensity; found if None.
     - `merged_intervals`: whether intervals are merged where nothing moves; `reused_sums`: whether M and c of kept and
       held-out samples are added up for the solve that follows (`Shortcuts`).
@@ -283,14 +292,15 @@ class StrengthSearch:
         found = ValidatedStrength(least * times, self.prior, True, near, term)
         if self.restoration is None:
             return found
-        restored_errors = partial(_Fold.restored_errors, restoration=self.restoration, prior=self.prior)
-        sums = in_threads(lambda fold: restored_errors(fold, strength=found.strength), folds)
-        plain, restored = (squares / weights for squares, weights in np.sum(sums, 0))
-        if self.by_stand_in:
-            plain = error(unrestored.strength * share / least)
-        else:
-            unrestored = found._replace(restored=False)
-        return unrestored if restored > plain else found  # the latter where it is not finite, which a solve reports
+        usual = unrestored.strength if self.by_stand_in else None
+        difference = partial(_Fold.difference, restoration=self.restoration, prior=self.prior)
+        sums = in_threads(lambda fold: difference(fold, strength=found.strength, usual=usual), folds)
+        worse, squares = np.sum(sums, 0)
+        # Not where it is NaN: the solve reports what is not finite.
+        rejected = worse > settings.restoration_deviations * squares**0.5
+        if not rejected:
+            return found
+        return unrestored if self.by_stand_in else found._replace(restored=False)
 
     def _splits(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]

@@ -38,8 +38,9 @@ def within_reach(pictures: MotionFrames, motion: Motion, settings: MotionSetting
     distance = np.sort(np.abs(after))
     if distance.size < 3:
         return motion
-    # The pictures next to the key frame, two at least.
-    near = max(settings.comparison.key_picture_frames, float(distance[1]))
+    # The pictures next to the key frame, two at least. Those closer to each other than the spikes of a pixel show the
+    # same intervals: their differences tell neither an error nor its variance.
+    near = max(settings.comparison.key_picture_frames, float(distance[1]), _interval(pictures))
     reaches, motions = [float(distance[-1])], [motion]
     errors = [_error(pictures, motion, reaches[0], near, settings)]
     while (reach := reaches[-1] / limits.step) >= limits.least_near * near:
@@ -63,6 +64,12 @@ def within_reach(pictures: MotionFrames, motion: Motion, settings: MotionSetting
     # A reach is known to within a step.
     used = np.asarray(used) * np.float32(limits.step)
     return Motion(np.asarray(velocity), np.asarray(acceleration), np.asarray(confidence), reach=used)
+
+
+def _interval(pictures: MotionFrames) -> float:
+    """Frames from one spike of a pixel to the next, of the median pixel; 0 where that is not known."""
+    firing = None if pictures.firing is None else float(np.median(np.asarray(pictures.firing)))
+    return 0.0 if firing is None else 1 / max(firing, 1e-6)
 
 
 def _error(

@@ -45,7 +45,7 @@ def rows(folder: Path, models: list[str]) -> Iterator[dict[str, Any]]:
                 "model": name,
                 "recording": recording,
                 "psnr": float(peak_signal_noise_ratio(truth, image, data_range=1)),
-                "ssim": float(structural_similarity(truth, image, data_range=1)),
+                "ssim": float(np.asarray(structural_similarity(truth, image, data_range=1))),
                 "seconds": time.perf_counter() - began,
             }
 

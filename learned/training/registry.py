@@ -205,8 +205,8 @@ def _restoration(scale: int, network: Mapping[str, Any]) -> Trainable:
         options = Options(white_rate=float(white_rate), prior=RidgeRegulariser.load())
         assembly = assemble_task(task_of(np.asarray(spikes), scale, None, options))
         if not assembly.usable:
-            nothing = np.zeros(assembly.image.shape, np.float32)
-            return Solved(nothing, nothing, nothing, np.float32(0))
+            nothing = jnp.zeros(assembly.image.shape, jnp.float32)
+            return Solved(nothing, nothing, nothing, jnp.zeros((), jnp.float32))
         assembly, found, *_ = solve_with_updates(assembly, None, UPDATES)
         return solved_by(assembly, found)
 

@@ -136,7 +136,7 @@ def unexplained_share(
     time = after[:, None, None, None]
     path = np.indices(motion.speed.shape) + motion.velocity * time + motion.acceleration * time**2 / 2
     last = np.array(motion.speed.shape)[:, None, None] - 1
-    inside = ((path >= 0) & (path <= last)).all(1)
+    inside = np.all((path >= 0) & (path <= last), axis=1)
     seen = np.stack([map_coordinates(each, at, order=1) for each, at in zip(taken, path, strict=True)]) * inside
     usual = seen.sum(0) / np.maximum(inside.sum(0), 1)
     total, expected = (found.tiles.cut(of).sum((-2, -1)) for of in (seen, usual * inside))

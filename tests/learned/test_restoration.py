@@ -1,6 +1,7 @@
 """Solutions that a network restores, and the solve around it."""
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,8 +28,8 @@ from scsr_opt.operators import Huber
 from scsr_opt.pipeline.restoration import Solved
 from scsr_opt.priors import HuberTotalVariation
 
-SIZES = {"channels": 3, "blocks": 1}
-SEEING = {**SIZES, "levels": 2, "folding": 2, "sees_data": True}
+SIZES: dict[str, Any] = {"channels": 3, "blocks": 1}
+SEEING: dict[str, Any] = {**SIZES, "levels": 2, "folding": 2, "sees_data": True}
 
 
 @functools.cache
@@ -151,6 +152,7 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     first, found = (of(recording, scale=2, strength=λ) for of in (model("ridge", 2), silent))
     assert found.status is Status.converged
     count = found.diagnostics.first_iterations
+    assert count is not None
     assert count == first.diagnostics.iterations and found.diagnostics.iterations == len(found.stages) > count
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     assert {"solving", "restoring"} <= set(found.diagnostics.seconds)
@@ -262,7 +264,7 @@ def test_a_restoration_that_predicts_better_is_used(scale):
             return jnp.asarray(recorded.truth(30), jnp.float32)
 
     usual, found = (
-        reconstruct(recorded.spikes, scale=scale, white_rate=0.3, **options) for options in ({}, {"quality": Truth()})
+        reconstruct(recorded.spikes, scale=scale, white_rate=0.3, quality=quality) for quality in ("fast", Truth())
     )
     assert found.diagnostics.restored is True
     errors = [float(np.mean((one.image - recorded.truth(30)) ** 2)) for one in (usual, found)]
@@ -278,7 +280,7 @@ def test_a_sequence_carries_on_what_was_decided(recording):
         def __call__(self, solved):
             return solved.image + jnp.where(jnp.arange(len(solved.image))[:, None] % 8 < 4, 0.2, -0.2)
 
-    options = {"scale": 4, "frames": 21}
+    options: dict[str, Any] = {"scale": 4, "frames": 21}
     found = list(reconstruct_sequence(recording, (18, 20), quality=Wrong(), **options))
     usual = list(reconstruct_sequence(recording, (18, 20), **options))
     for one, same in zip(found, usual, strict=True):

@@ -36,7 +36,7 @@ UNROLLED = {"stages": 2, "boundaries": (10,), "proximal": False}
 PASE = {
     **UNROLLED, "moments": 3, "length": 5, "spacing": 12, "branches": (1,), "encoder_channels": 2, "encoder_blocks": 0,
 }  # fmt: skip
-RESTORATION = {"channels": 2, "blocks": 0}
+RESTORATION: dict[str, Any] = {"channels": 2, "blocks": 0}
 
 
 @pytest.fixture(scope="module")

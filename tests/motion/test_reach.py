@@ -48,7 +48,10 @@ class HalfShaken(Scene):
         return np.stack([np.zeros(SIZE), np.broadcast_to(change, SIZE)])
 
 
-def fitted(shake, sensor=Sensor(photons=1000.0)):
+DAY, DIM = Sensor(photons=1000.0), Sensor(0.07, 25.0)
+
+
+def fitted(shake, sensor=DAY):
     made = simulate(HalfShaken(shake), scale=1, frames=FRAMES, sensor=sensor, seed=0)
     pictures = motion_frames(made.spikes, key=KEY)
     return pictures, accelerated(pictures, dense(pictures))
@@ -86,7 +89,7 @@ def test_constant_motion_keeps_all_frames_and_its_fit():
 def test_dim_light_keeps_all_frames():
     """A pixel fires every thirty frames or so: pictures closer than that show the same intervals, and their differences
     are no measure of anything."""
-    pictures, motion = fitted(0.0, Sensor(0.07, 25.0))
+    pictures, motion = fitted(0.0, DIM)
     assert within_reach(pictures, motion) is motion
 
 

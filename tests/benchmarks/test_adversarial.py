@@ -5,8 +5,9 @@ import pytest
 
 from benchmarks.adversarial import KINDS, SHAPE, Finding, case, cases, compared
 
-MOST_MISFIT = 1.05
-"""The misfit to the measurements over that of the usual solution, at most: it may rise by chance."""
+MOST_MISFIT, MOST_MISFIT_OF_NOISE = 1.05, 1.3
+"""The misfit to the measurements over that of the solution before, at most: it may rise by chance, and more where the
+measurements are noise alone, which the solution before had followed."""
 MOST_LOST = 0.5
 """Decibels that a picture may lose, at most. What no sample shows, detail within sensor pixels, is a guess of the
 prior's: of letters of square dots, gratings and plain surfaces the usual priors guess better (docs/learned.md)."""
@@ -23,7 +24,8 @@ def test_case_every_kind_has_a_recording_and_a_truth(kind):
 
 
 def _agrees(found: Finding) -> bool:
-    return found.misfit < MOST_MISFIT and (found.kind in GUESSED or not found.gain < -MOST_LOST)
+    most = MOST_MISFIT_OF_NOISE if found.kind == "noise" else MOST_MISFIT
+    return found.misfit < most and (found.kind in GUESSED or not found.gain < -MOST_LOST)
 
 
 @pytest.mark.parametrize("kind", ["noise", "text", "dead rows"])

@@ -69,6 +69,8 @@ from scsr_opt.solvers import (
     with_bound,
 )
 
+pytestmark = pytest.mark.usefixtures("programs_stay")
+
 SHAPE, SCALE, FRAMES = (12, 16), 2, 12
 PICTURE = jnp.asarray(np.random.default_rng(0).uniform(0.1, 1, SHAPE), jnp.float32)
 

@@ -7,6 +7,8 @@ from scsr_opt import reconstruct
 from scsr_opt.camera.scenes import Static, Translation
 from scsr_opt.camera.simulator import simulate
 
+pytestmark = pytest.mark.usefixtures("programs_stay")
+
 MOST = 22
 """Programs of a first picture, at most. Each takes from a tenth of a second to two to compile."""
 

@@ -335,9 +335,9 @@ def best(scale: int) -> NetworkRestoration:
     scales = sorted(int(file.stem.rpartition("-x")[2]) for file in CHECKPOINTS.glob(f"{CENTRED}-x*.scsr"))
     below = [one for one in scales if one <= scale]
     if not below:
+        there = f"from scale {scales[0]} on" if scales else "for no scale"
         raise InputError(
-            f"quality is 'best' and the scale is {scale}, but there are networks from scale {scales[0]} on: take "
-            f"quality='fast'."
+            f"quality is 'best' and the scale is {scale}, but there are networks {there}: take quality='fast'."
         )
     found = model(CENTRED, below[-1])
     assert isinstance(found, Optimizer) and found.restoration is not None

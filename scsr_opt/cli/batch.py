@@ -98,8 +98,8 @@ def batch(
 
 
 class _Row(NamedTuple):
-    """What came of a recording: its `picture`, None where there is none; the `result` in words; whether the solve was
-    `begun`; `seconds` in all."""
+    """A row of the table: the recording `source`; its `picture`, None where none was written; the `result` in words;
+    whether the solve was `begun`; `seconds` from the first read to the last write."""
 
     source: Path
     picture: Path | None

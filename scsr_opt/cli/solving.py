@@ -88,7 +88,7 @@ class Solving:
         Literal["fast", "best"],
         Parameter(
             help="best: a network improves the picture, and a second solve, with a prior around the network's picture, "
-            "makes it agree with the data: a better picture in two to three times the time, from --scale 2 on."
+            "makes it agree with the data: a better picture in two to four times the time, from --scale 2 on."
         ),
     ] = "fast"
     prior: Annotated[
@@ -183,7 +183,7 @@ class Solving:
     def several(
         self, recording: "scsr_opt.camera.Recording", scale: int, crop: tuple[int, int, int, int] | None
     ) -> dict[str, Any]:
-        """As `arguments`, for the pictures of many moments.
+        """Arguments of `reconstruct_sequence`, as `arguments` gives those of `reconstruct`.
 
         **Raises:** `InputError` as well for a motion that holds at one moment.
         """

@@ -103,7 +103,7 @@ class Options:
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `quality`: "fast", the default, or "best": a network restores the solution, and Eq. 4 is solved again with the
-      prior centred at the network's picture (`scsr_opt.pipeline.restoration`), in two to three times the time. If the
+      prior centred at the network's picture (`scsr_opt.pipeline.restoration`), in two to four times the time. If the
       result predicts held-out samples worse than the picture without the network, the latter is solved for. A
       `Restoration` takes the place of that network.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.
@@ -240,7 +240,7 @@ class Options:
         return not (isinstance(self.quality, str) and self.quality == "fast")
 
     def restoration(self, scale: int) -> Restoration | None:
-        """What restores the solution; None where nothing does. **Raises:** as `restoration_of`."""
+        """The restoration of a solution at this scale, None with `quality="fast"`. **Raises:** as `restoration_of`."""
         if not self.restores:
             return None
         return self.quality if isinstance(self.quality, Restoration) else restoration_of(scale)

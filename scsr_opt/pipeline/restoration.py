@@ -1,4 +1,4 @@
-"""What a network that restores a solution of Eq. 4 sees of it (`quality="best"`).
+"""`Solved` and `Restoration`: input and interface of a network that restores a solution of Eq. 4 (`quality="best"`).
 
 The network's picture X̂ is not the result: Eq. 4 is solved once more with the prior centred there (`Centred`), a
 convex problem whatever X̂ is (`scsr_opt.pipeline.updates.CentreUpdate`). Networks come from other packages, by the
@@ -68,7 +68,7 @@ def restoration_of(scale: int) -> Restoration:
 
 
 def solved(term: DataTerm, image: Float[np.ndarray, "H W"], strength: Float[Array, ""]) -> Solved:
-    """What the data f = `term` say of its solution `image`."""
+    """The input of a restoration, for the solution `image` (intensity) of f = `term` with the strength λ."""
     picture = on_device(image)
     return Solved(picture, *_change_and_weight(term, picture), strength)
 

@@ -104,8 +104,8 @@ class StrengthSettings(Settings):
     """Exponent b of that rule."""
     restoration_deviations: float = 3.0
     """Standard deviations by which a restored picture has to predict held-out samples worse than the usual picture for
-    the usual one to be taken. Held-out samples say little of detail within sensor pixels, where nothing moves nothing:
-    without a margin half of the pictures at rest were rejected by chance (0.4 dB at ×4)."""
+    the usual one to be taken: the usual level beyond chance. A margin is needed because held-out samples tell little of
+    detail within sensor pixels, and nothing where the scene rests: chance alone would decide there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +117,8 @@ class OuterLoopSettings(Settings):
     term, above which exposures are corrected again. With a step size for each pixel, pictures are as good as with a
     distance of 10 and one step size for all."""
     tile_correction_tolerances: float = 40.0
-    """The same distance within a tile, in tolerances, above which the tile's exposures are corrected; the mean over the
-    picture would hide it."""
+    """Distance of a tile of the picture from that at which the quadratic touches, in tolerances of the solver, above
+    which the tile's exposures are corrected; the mean over the picture would hide it."""
     few_rows_share: float = 0.5
     """Share of the rows of tiles up to which only the tiles that exceed that distance are corrected. With more rows
     hardly a sample would be left out."""

@@ -32,9 +32,9 @@ from scsr_opt._kernels.kept import keep_programs
 P = ParamSpec("P")
 T = TypeVar("T")
 
-# A quarter of Linux's limit: the programs of nine sizes of sensor, so that whoever alternates between a few never
-# compiles again, and as much room again for the programs of others.
-_MOST_MAPPINGS = 16_000
+# A fifth of Linux's limit: the programs of seven sizes of sensor, so that whoever alternates between a few never
+# compiles again, and several times as much room for the programs of others.
+_MOST_MAPPINGS = 12_000
 # Mappings of a program, in the mean of those of a `reconstruct`. For systems that do not tell how many there are, and
 # for accelerators, whose programs take room elsewhere.
 _MAPPINGS_PER_PROGRAM = 30

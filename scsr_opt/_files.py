@@ -5,6 +5,7 @@ only while it is written, such as a full disk, names the file and leaves what wa
 """
 
 import os
+import re
 import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,12 @@ from typing import Any, TypeVar
 from scsr_opt.errors import InputError, shown
 
 Item = TypeVar("Item")
+
+# A protocol and what follows it, chains of them included (`zip://a.npz::https://host/b.zip`).
+_PROTOCOL = r"[A-Za-z][A-Za-z0-9+.\-]*"
+_URL = re.compile(rf"{_PROTOCOL}(::{_PROTOCOL})*://")
+# `Path` makes one slash of two.
+_URL_AS_PATH = re.compile(rf"({_PROTOCOL}(::{_PROTOCOL})*):/+")
 
 
 @contextmanager
@@ -59,11 +66,33 @@ class _ReadingFailed(Exception):
 
 
 def as_path(path: Any) -> Path:
-    """`path` as a Path. **Raises:** `InputError` if it is none."""
+    """`path` as a Path. **Raises:** `InputError` if it is none, or no file can have that name."""
     try:
-        return Path(path)
+        made = Path(path)
     except TypeError:
         raise InputError(f"{shown(path)} is no path of a file: give a str or a Path.") from None
+    if "\0" in str(made):
+        raise InputError(
+            f"{shown(str(made))} holds a null character, which no name of a file has: choose another name."
+        )
+    return made
+
+
+def is_url(path: Any) -> bool:
+    """Whether `path` is a URL, such as `s3://bucket/car.dat`. A file in a folder `s3:` is `./s3:/car.dat`."""
+    return isinstance(path, str) and _URL.match(path) is not None
+
+
+def refuse_url(path: str | os.PathLike[str]) -> None:
+    """**Raises:** `InputError` if `path`, where something is to be written or a store lies, is a URL; also one that
+    has become a Path, unless there is a folder of that name."""
+    text = os.fspath(path)
+    url = _URL_AS_PATH.match(text)
+    if url is not None and not os.path.isdir(f"{url[1]}:"):
+        raise InputError(
+            f"{url[1]}://{text[url.end() :]} is a URL, but outputs and stores are files of this machine, only a "
+            f"recording is read by its URL: give a path here, and copy it."
+        )
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -84,6 +113,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 def _target(path: str | os.PathLike[str]) -> Path:
     """The absolute path of the file that is to be there at last: `path`, or what it leads to as a symbolic link."""
+    refuse_url(path)
     try:
         target = Path(os.path.realpath(path))
         os.lstat(target)

@@ -1,5 +1,6 @@
 """`scsr compare`: optimizers and networks side by side, stage by stage."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -79,7 +80,7 @@ def compare(
     return 0
 
 
-def _check_folder(output: Path, inputs: list[Path], names: tuple[str, ...], overwrite: bool) -> None:
+def _check_folder(output: Path, inputs: Sequence[Path | str], names: tuple[str, ...], overwrite: bool) -> None:
     """**Raises:** `InputError` if the outputs cannot be written there, or would replace a file that they may not."""
     if output.is_dir():
         check_outputs(inputs, overwrite, **{f"output/{name}": output / name for name in names})

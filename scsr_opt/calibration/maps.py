@@ -56,7 +56,7 @@ class Calibration:
                 bad, gain, dark = (np.asarray(stored[name]) for name in _NAMES)
         except FileNotFoundError as error:
             raise InputError(f"There is no calibration {path}: check the path.") from error
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
             raise InputError(f"{path} holds no calibration: it is an .npz with arrays {', '.join(_NAMES)}.") from error
         wrong = gain.ndim != 2 or bad.shape != gain.shape or dark.shape != gain.shape
         wrong = wrong or bad.dtype.kind not in "iub" or gain.dtype.kind not in "fiu" or dark.dtype.kind not in "fiu"

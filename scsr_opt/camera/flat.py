@@ -30,7 +30,7 @@ ROWS_WITH_GAPS = {400: FlatLayout(416, ((0, 400),)), 1000: FlatLayout(1024, ((0,
 """Width of a sensor → the layout of its files in which not every bit of a row is a pixel."""
 
 
-_SIZE = re.compile(r"\s*(\d+)\s*[xX×]\s*(\d+)\s*")
+_SIZE = re.compile(r"\s*(\d{1,9})\s*[xX×]\s*(\d{1,9})\s*")
 # Two digits at least, so that names such as `car_2x4` (a scale) are not taken for a size.
 _SIZE_IN_NAME = re.compile(r"(?<!\d)(\d{2,5})[xX×](\d{2,5})(?!\d)")
 
@@ -93,7 +93,8 @@ def contradicted_size(path: Path, size: tuple[int, int]) -> str | None:
 
 def known_sizes(path: Path) -> dict[tuple[int, int], str]:
     """The (width, height) that go with a file, and what says so: its name, or a `config.yaml`; maybe none."""
-    sizes = {(int(width), int(height)): _NAME for width, height in _SIZE_IN_NAME.findall(path.stem)}
+    named = ((int(width), int(height)) for width, height in _SIZE_IN_NAME.findall(path.stem))
+    sizes = {size: _NAME for size in named if min(size) > 0}
     configured = size_in_config(path)
     if configured is not None:
         sizes.setdefault(configured, _CONFIG)
@@ -115,7 +116,8 @@ def size_in_config(path: Path) -> tuple[int, int] | None:
         encoding = "utf-16" if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
         text = content.decode(encoding, errors="replace")
         sides = [
-            re.search(rf"^\s*{key}\s*:\s*[\"']?(\d+)[\"']?\s*(?:#.*)?$", text, re.M) for key in ("spike_w", "spike_h")
+            re.search(rf"^\s*{key}\s*:\s*[\"']?(\d{{1,9}})[\"']?\s*(?:#.*)?$", text, re.M)
+            for key in ("spike_w", "spike_h")
         ]
         if sides[0] and sides[1]:
             return parse_size((int(sides[0][1]), int(sides[1][1])))

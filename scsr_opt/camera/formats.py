@@ -31,7 +31,7 @@ from typing import Any, NamedTuple, SupportsFloat, cast
 import h5py
 import numpy as np
 
-from scsr_opt._files import as_path
+from scsr_opt._files import as_path, is_url
 from scsr_opt._validation import flag, whole
 from scsr_opt.camera.axes import FIRST, LAST, time_axis
 from scsr_opt.camera.flat import (
@@ -47,6 +47,7 @@ from scsr_opt.camera.flat_content import remark
 from scsr_opt.camera.magic import HDF5, NPY, ZIP, kind_of
 from scsr_opt.camera.plausibility import axis_regularity
 from scsr_opt.camera.recording import READOUT_RATE, WHITE_RATE, Recording, checked_settings
+from scsr_opt.camera.remote import file_name, read_url
 from scsr_opt.camera.settings import CONTENT
 from scsr_opt.camera.sources import (
     DAMAGED,
@@ -102,6 +103,8 @@ def read_recording(
     Flat, `.npy` and HDF5 files of any length open at once: frames are read when a window of them is asked for.
 
     **Arguments:**
+    - `path`: of a file, or a URL that fsspec knows (`s3://…`, `https://…`), as a str. What is behind a URL is copied to
+      a temporary file, which is kept as long as the recording is in use; no `config.yaml` is looked for there.
     - `size`: `"400x250"` or (width, height), pixels. A `.dat` file needs it unless its name holds it (`…_400x250.dat`)
       or a SpikeCV `config.yaml` (`spike_w`, `spike_h`) lies beside it or one folder up. For the other formats it is
       checked, and tells (T, h, w) from (h, w, T).
@@ -124,6 +127,12 @@ def read_recording(
     does not fit, it is not certain which axis is time, or it holds other values than 0 and 1 (in a mapped file: in its
     first frame; in later ones when they are read).
     """
+    if is_url(path):
+        url = cast(str, path)
+        _by_ending(file_name(url))  # before it is fetched
+        given: dict[str, Any] = {"size": size, "flip": flip, "row_bits": row_bits, "key": key}
+        given |= {"white_rate": white_rate, "readout_rate": readout_rate, "bad_pixels": bad_pixels}
+        return read_url(url, lambda file: read_recording(file, **given))
     file = as_path(path)
     if file.is_dir():
         raise InputError(f"{file} is a folder, not a recording: name one file in it.")

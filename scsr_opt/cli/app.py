@@ -7,6 +7,7 @@ Exit codes: 0 done; 1 a solve failed and its picture was not written; 2 somethin
 import functools
 import gc
 import io
+import operator
 import os
 import signal
 import sys
@@ -14,8 +15,10 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import entry_points
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
 
-from cyclopts import App
+from cyclopts import App, Parameter, Token, convert
 
 from scsr_opt.cli.baseline import baseline
 from scsr_opt.cli.batch import batch
@@ -37,6 +40,15 @@ def _version() -> str:
     return version("scsr-opt")
 
 
+def _converted(kind: Any, tokens: Sequence[Token]) -> Any:
+    """The value as the parser has it, which otherwise takes the words none and null for an option that is not given:
+    `--prior none` would be the default prior."""
+    others = (
+        [one for one in get_args(kind) if one is not NoneType] if get_origin(kind) in (Union, UnionType) else [kind]
+    )
+    return convert(functools.reduce(operator.or_, others), tokens)
+
+
 @functools.cache
 def _app() -> App:
     """The application with the commands of this package and those that others add (entry points `scsr.commands`)."""
@@ -49,6 +61,7 @@ def _app() -> App:
         "carried out.",
         help_format="plaintext",
         version=_version,
+        default_parameter=Parameter(converter=_converted),
         result_action="return_value",
         suppress_keyboard_interrupt=False,
     )

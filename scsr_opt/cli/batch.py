@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from cyclopts import Parameter
 
+from scsr_opt._files import as_path, is_url, refuse_url
 from scsr_opt.cli.options import (
     Overwrite,
     Quiet,
@@ -74,6 +75,7 @@ def batch(
             raise InputError(f"--{name} is {value}, but it must be at least 1.")
     (solving := solving or Solving()).check()
     picked = {"scale": scale, "key": key, "frames": frames, "white": white}
+    refuse_url(as_path(output))
     if output.exists() and not output.is_dir():
         raise InputError(f"--output {output} is a file, but pictures go into a folder: give another name.")
     places = _places(files, output, format)
@@ -118,6 +120,8 @@ def _places(patterns: tuple[str, ...], folder: Path, ending: str) -> dict[Path, 
         raise InputError("scsr batch needs FILE, which is missing: recordings, or patterns such as 'recordings/*.dat'.")
     sources: list[Path] = []
     for pattern in patterns:
+        if is_url(pattern):
+            raise InputError(f"{pattern} is a URL, but scsr batch reads files of this machine: take scsr solve for it.")
         found = [] if os.path.exists(pattern) else sorted(glob.glob(pattern, recursive=True))
         sources += [Path(name) for name in found or [pattern]]
     present = {source for source in sources if source.is_file()} or set(sources)

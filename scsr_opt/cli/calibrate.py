@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from scsr_opt.cli.options import Overwrite, Quiet, Reading, check_outputs, progress
+from scsr_opt.cli.options import Overwrite, PathOrUrl, Quiet, Reading, check_outputs, progress
 from scsr_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -13,13 +13,16 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    *scenes: Annotated[Path, Parameter(help="Recordings of any scenes, best moving ones.", allow_leading_hyphen=False)],
+    *scenes: Annotated[
+        PathOrUrl, Parameter(help="Recordings of any scenes, best moving ones.", allow_leading_hyphen=False)
+    ],
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Maps to write (.npz), for --calibration.")],
     flat: Annotated[
-        tuple[Path, ...], Parameter(negative="", help="Recordings of an evenly lit, still surface; may be repeated.")
+        tuple[PathOrUrl, ...],
+        Parameter(negative="", help="Recordings of an evenly lit, still surface; may be repeated."),
     ] = (),
     dark: Annotated[
-        tuple[Path, ...], Parameter(negative="", help="Recordings with the lens covered; may be repeated.")
+        tuple[PathOrUrl, ...], Parameter(negative="", help="Recordings with the lens covered; may be repeated.")
     ] = (),
     reading: Reading | None = None,
     overwrite: Overwrite = False,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from scsr_opt._files import as_path, refuse_url
 from scsr_opt.cli.options import Overwrite, Quiet, check_outputs, progress, say_failure
 from scsr_opt.errors import InputError
 
@@ -21,6 +22,7 @@ def demo(
 
     Takes about a minute. Writes the recording, the picture, a report and a figure.
     """
+    refuse_url(as_path(output))
     from scsr_opt._kernels.programs import ready
 
     ready()  # before there is a folder

@@ -30,7 +30,7 @@ def info(
     recording, crop = (reading or Reading()).whole(file)
     facts = describe(recording if crop is None else recording.crop(*crop), progress(quiet))
     facts["crop"] = crop
-    facts["file"] = file.as_posix()
+    facts["file"] = str(file)
     if json:
         print(dumps(facts, indent=1))
     elif not quiet:
@@ -78,7 +78,7 @@ def describe(recording: "scsr_opt.camera.Recording", meter: Progress) -> dict[st
     }
 
 
-def _lines(file: Path, facts: dict[str, Any]) -> list[str]:
+def _lines(file: Path | str, facts: dict[str, Any]) -> list[str]:
     milliseconds = facts["duration"] * 1e3
     bad = "none are marked" if facts["bad_pixels"] is None else f"{facts['bad_pixels']:,} are marked"
     order, other = ("bottom-up", "--no-flip") if facts["stored_bottom_up"] else ("top-down", "--flip")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter, Token
 
-from scsr_opt._files import check_writable
+from scsr_opt._files import check_writable, is_url
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
 from scsr_opt.report.progress import LineProgress, RichProgress
@@ -37,8 +37,22 @@ Whole = Annotated[int, Parameter(converter=_whole)]
 
 FILE_GROUP = Group("Reading the recording", sort_key=2)
 
+
+def _path_or_url(_: Any, tokens: Sequence[Token]) -> Path | str:
+    # A Path would make one slash of two.
+    return tokens[0].value if is_url(tokens[0].value) else Path(tokens[0].value)
+
+
+PathOrUrl = Annotated[Path | str, Parameter(converter=_path_or_url)]
+"""A recording on the command line: a str if it is a URL."""
+
 File = Annotated[
-    Path, Parameter(help="The recording: .dat (flat, packed), .npz, .npy, .h5 or .hdf5.", allow_leading_hyphen=False)
+    PathOrUrl,
+    Parameter(
+        help="The recording: .dat (flat, packed), .npz, .npy, .h5 or .hdf5; or its URL, such as s3://bucket/car.dat, "
+        "which is copied to a temporary file.",
+        allow_leading_hyphen=False,
+    ),
 ]
 Quiet = Annotated[
     bool, Parameter(name=["--quiet", "-q"], negative="", show_default=False, help="Print nothing but errors.")
@@ -120,12 +134,12 @@ class Reading:
         ),
     ] = None
 
-    def open(self, file: Path) -> "scsr_opt.camera.Recording":
+    def open(self, file: Path | str) -> "scsr_opt.camera.Recording":
         """Opens `file`, and crops it. **Raises:** `InputError` if it cannot be read in this way."""
         recording, crop = self.whole(file)
         return recording if crop is None else recording.crop(*crop)
 
-    def whole(self, file: Path) -> "tuple[scsr_opt.camera.Recording, tuple[int, int, int, int] | None]":
+    def whole(self, file: Path | str) -> "tuple[scsr_opt.camera.Recording, tuple[int, int, int, int] | None]":
         """Opens `file` as it is; with the crop, (top, left, height, width). **Raises:** as `open`."""
         from scsr_opt.camera import read_recording
 
@@ -248,18 +262,18 @@ def progress(quiet: bool) -> Progress:
     return RichProgress() if sys.stderr.isatty() else LineProgress()
 
 
-def check_outputs(inputs: list[Path], overwrite: bool, /, **outputs: Path | None) -> None:
+def check_outputs(inputs: Sequence[Path | str], overwrite: bool, /, **outputs: Path | None) -> None:
     """Finds out before the work starts whether every output can be written.
 
     **Arguments:**
-    - `inputs`: files that are read, which no output may replace.
+    - `inputs`: files that are read, which no output may replace, or URLs.
     - `overwrite`: whether outputs may replace other files.
     - `outputs`: option (`output`, `report`, …) → path, None where it was not given.
 
     **Raises:** `InputError` if one cannot be written, would replace an input or, without `overwrite`, another file, or
     two are the same file.
     """
-    read = {os.path.realpath(source) for source in inputs}
+    read = {os.path.realpath(source) for source in inputs if isinstance(source, Path) and source.is_file()}
     seen: dict[str, str] = {}
     for name, path in outputs.items():
         if path is None:

@@ -81,7 +81,7 @@ def play(
     """
     from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
 
-    target = Path(f"{file.stem}_{method}.png") if output is None else output
+    target = Path(f"{_stem(file)}_{method}.png") if output is None else output
     is_film = target.suffix.lower() in FILM_ENDINGS
     if is_film:
         check_film(target, rate=rate, gamma=gamma, white=1.0 if white is None else white)
@@ -120,6 +120,15 @@ def play(
         if level is not None:
             print(level.sentence)
     return 0
+
+
+def _stem(file: Path | str) -> str:
+    """Name of the recording without its ending."""
+    if isinstance(file, Path):
+        return file.stem
+    from scsr_opt.camera.remote import file_name
+
+    return file_name(file).stem
 
 
 class _Player:

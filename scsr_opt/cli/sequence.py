@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from scsr_opt.cli.live import follow, live_output
-from scsr_opt.cli.options import Overwrite, Quiet, Reading, ShownWhite, Whole, moments, progress, say_failure
+from scsr_opt.cli.options import (
+    Overwrite,
+    PathOrUrl,
+    Quiet,
+    Reading,
+    ShownWhite,
+    Whole,
+    moments,
+    progress,
+    say_failure,
+)
 from scsr_opt.cli.solving import Solving
 from scsr_opt.errors import InputError
 
@@ -35,10 +45,11 @@ Rate = Annotated[float | None, Parameter(help="Pictures per second of a film. De
 
 def sequence(
     file: Annotated[
-        Path,
+        PathOrUrl,
         Parameter(
-            help="The recording: .dat (flat, packed), .npz, .npy, .h5 or .hdf5. -: a stream of frames as in a .dat, "
-            "from standard input.",
+            help="The recording: .dat (flat, packed), .npz, .npy, .h5 or .hdf5; or its URL, such as "
+            "s3://bucket/car.dat, which each machine that solves copies to a temporary file. -: a stream of frames as "
+            "in a .dat, from standard input.",
             allow_leading_hyphen=True,
         ),
     ],
@@ -87,8 +98,8 @@ def sequence(
     scheduler: Annotated[
         str | None,
         Parameter(
-            help="Solve by the workers of this Dask scheduler, tcp://HOST:PORT, which see FILE and the output under "
-            "the same paths."
+            help="Solve by the workers of this Dask scheduler, tcp://HOST:PORT, which see FILE, unless it is a URL, "
+            "and the output under the same paths."
         ),
     ] = None,
     bits: Bits = None,
@@ -130,7 +141,7 @@ def sequence(
 
     chosen = SequenceFormat.of(output, bits=bits, gamma=gamma, rate=rate, white=white)
     chosen.check(overwrite)
-    if not chosen.is_store and output.is_file() and file.is_file() and output.samefile(file):
+    if not chosen.is_store and isinstance(file, Path) and file.is_file() and output.is_file() and output.samefile(file):
         raise InputError(f"--output {output} is the file that is read: give the output another name.")
     if workers is not None and scheduler is not None:
         raise InputError("--workers starts workers here, --scheduler uses those of a cluster: give one of the two.")

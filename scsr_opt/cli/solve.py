@@ -114,7 +114,7 @@ def solve(
 
 
 def solved(
-    file: Path,
+    file: Path | str,
     solving: Solving,
     reading: Reading,
     scale: int,

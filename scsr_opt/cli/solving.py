@@ -201,7 +201,7 @@ class Solving:
         if self.samples == "intervals":
             return None
         kind, _, length = self.samples.partition(":")
-        if kind != "windows" or not length.isdecimal() or not 1 <= int(length) <= recording.frames:
+        if kind != "windows" or not 1 <= _number(length) <= recording.frames or not length.isdecimal():
             raise InputError(
                 f"--samples is {self.samples}, but it must be intervals or windows:N, N from 1 to {recording.frames} "
                 f"frames."

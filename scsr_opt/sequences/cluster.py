@@ -36,7 +36,7 @@ class Workers:
     **Fields:**
     - `number`: processes to start on this machine, which share its cores.
     - `scheduler`: address of a Dask scheduler whose workers are used instead, `tcp://HOST:PORT`. They have to see the
-      recording and the store under the same paths.
+      store, and the recording unless it is read by a URL, under the same paths.
     - `started`: called with the address of the dashboard once the workers are there.
 
     **Raises:** `InputError` unless exactly one of the first two is given, or Dask is not installed.

@@ -58,7 +58,7 @@ def is_store(path: Path) -> bool:
     """Whether `path` is a folder that `SequenceStore.create` made, whatever its version and state."""
     try:
         return "scsr" in json.loads((path / METADATA).read_bytes())["attributes"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scsr_opt._files import as_path, check_writable, read_meanwhile, whole_file
+from scsr_opt._files import as_path, check_writable, read_meanwhile, refuse_url, whole_file
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
@@ -143,6 +143,7 @@ class SequenceFormat:
 
         **Raises:** `InputError` if one cannot, is there already and may not be overwritten, or is inside of a store.
         """
+        refuse_url(self.path)
         around = next((folder for folder in self.path.absolute().parents if is_store(folder)), None)
         if around is not None:
             raise InputError(f"{self.path} is in the store {around}: give a name outside of it.")

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from scsr_opt._files import as_path
+from scsr_opt._files import as_path, refuse_url
+from scsr_opt._validation import positive, whole
 from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
@@ -54,9 +55,10 @@ class SequenceStore:
         self._attributes = json.loads(metadata)["attributes"]["scsr"]
         sequence = self._attributes["sequence"]
         self.keys = range(sequence["start"], sequence["stop"], sequence["every"])
-        self.scale, self.group = int(sequence["scale"]), int(sequence["group"])
-        self.readout_rate = float(sequence["recording"]["readout_rate"])
+        self.scale, self.group = whole(sequence["scale"], "scale", 1), whole(sequence["group"], "group", 1)
+        self.readout_rate = positive("The store", "readout_rate", sequence["recording"]["readout_rate"])
         self.white = White(**self._attributes["white"])
+        White.given(self.white.level)
 
     @classmethod
     def create(cls, path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) -> "SequenceStore":
@@ -80,7 +82,8 @@ class SequenceStore:
     @classmethod
     def open(cls, path: str | os.PathLike[str], *, write: bool = False) -> "SequenceStore":
         """The store at `path`. **Raises:** `InputError` if there is none, or it cannot be read."""
-        place = Path(os.path.abspath(as_path(path)))
+        refuse_url(as_path(path))
+        place = Path(os.path.abspath(path))
         if not place.is_dir():
             raise InputError(f"There is no store {path}: check the path, or make one with scsr sequence.")
         no_store = f"{path} is no store of a sequence of pictures: name one that scsr sequence made."
@@ -91,19 +94,18 @@ class SequenceStore:
             raise InputError(no_store) from None
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError(f"{no_store[:-1]}, or remove it if its {METADATA} is damaged.") from error
         if found != FORMAT:
             raise InputError(
                 f"{path} has format {found}, but this version of scsr-opt reads format {FORMAT}: read it with the "
                 f"version that made it, or make it anew under another name."
             )
+        zarr = need_zarr()
         try:
-            arrays = need_zarr().open_group(place, mode="r+" if write else "r", zarr_format=3)
+            arrays = zarr.open_group(place, mode="r+" if write else "r", zarr_format=3)
             store = cls(place, metadata, arrays)
             store._check_arrays()
-        except InputError:
-            raise
         except Exception as error:  # zarr raises many kinds, one for each thing that may be damaged
             raise InputError(
                 f"{path} is damaged ({_said(error)}): remove it and make it anew, or restore its {METADATA} files."
@@ -117,10 +119,7 @@ class SequenceStore:
         wrong = [name for name in names if name not in self._arrays or name not in fixed and
                  self._array(name).shape[0] != pictures]  # fmt: skip
         if wrong:
-            raise InputError(
-                f"{self.path} is damaged (array {wrong[0]} is missing or has another length than the {pictures} "
-                f"pictures): remove it and make it anew."
-            )
+            raise InputError(f"array {wrong[0]} is missing or has another length than the {pictures} pictures")
 
     def _array(self, name: str) -> "zarr.Array":
         if name not in self._opened:  # zarr reads the metadata each time
@@ -296,7 +295,9 @@ class SequenceStore:
 
 
 def _said(error: Exception) -> str:
-    """An error of another library in a clause."""
+    """An error in a clause, those of other libraries with their kind."""
+    if isinstance(error, InputError):
+        return str(error).rstrip(".")
     return " ".join(f"{type(error).__name__}: {error}".split())[:120].rstrip(".")
 
 

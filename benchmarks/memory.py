@@ -34,12 +34,13 @@ def crop_sizes(number: int) -> list[tuple[int, int]]:
     return different[:number]
 
 
-def resident() -> int:
-    """Resident memory of this process, MB."""
-    for line in Path("/proc/self/smaps_rollup").read_text().splitlines():
-        if line.startswith("Rss:"):
-            return int(line.split()[1]) // 1024
-    return 0
+def resident(process: int | str = "self") -> int:
+    """Resident memory of a process, MB; 0 where it has ended, or the system does not tell."""
+    try:
+        text = Path(f"/proc/{process}/smaps_rollup").read_text()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) // 1024 for line in text.splitlines() if line.startswith("Rss:")), 0)
 
 
 def main() -> None:

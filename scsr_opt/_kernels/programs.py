@@ -91,8 +91,14 @@ def let_go() -> None:
     """Drops the compiled programs of this library and of JAX's own functions, and gives their memory back."""
     for program in _programs():
         program.clear_cache()
+    give_memory_back()
+
+
+def give_memory_back() -> None:
+    """Gives free memory back to the system, where glibc would keep it: the threads of a sequence of 400×250 pictures at
+    ×2 left 1.6 GB of 3.6 GB behind that way, for no use. Takes milliseconds."""
     if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc, which else keeps most of it
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, SupportsFloat, SupportsIndex, runtime_checkable
 
 from scsr_opt._files import as_path, check_writable
+from scsr_opt._kernels.programs import give_memory_back
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.stream import FrameStream
@@ -258,6 +259,7 @@ class LiveSequence:
             self.white = self.white or solution.white
             solution = replace(solution, white=self.white)
         self._output.write((moment.key - self._start) // self._every, solution)
+        give_memory_back()
         if not solution.status.usable:
             self.failed, self.failure = self.failed + 1, solution.status.clause
             return

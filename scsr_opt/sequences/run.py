@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from scsr_opt._kernels.programs import ready
+from scsr_opt._kernels.programs import give_memory_back, ready
 from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
@@ -114,6 +114,7 @@ def solve_group(store: SequenceStore, plan: Plan, number: int, solved: Callable[
     solutions = reconstruct_sequence(plan.recording, keys, scale=plan.scale, options=options)
     for one, key, solution in zip(numbers, keys, solutions, strict=True):
         store.write_picture(one, solution)
+        give_memory_back()
         found = solution.diagnostics
         origin = origin if found.motion_carried else key
         results["status"].append(STATUS_CODES[solution.status])

@@ -1,49 +1,73 @@
 """Whether a sequence that is killed at random moments loses nothing: its store equals one that was left undisturbed.
 
-    python -m benchmarks.killing [FILE[:WIDTHxHEIGHT]] [--kills 20] [--workers N] [--pictures 24] [--every 4]
-                                 [--group 4] [--scale 2] [--frames 41] [--seed 0] [--folder FOLDER]
+    python -m benchmarks.killing [FILE[:WIDTHxHEIGHT]] [--kills 20] [--workers N [--cluster]] [--pictures 24]
+                                 [--every 4] [--group 4] [--scale 2] [--frames 41] [--seed 0] [--folder FOLDER]
+                                 [--longest SECONDS] [--options="OTHERS OF SCSR SEQUENCE"]
 
 Without FILE the recording is simulated: an object that passes before a still, 48×48 sensor pixels. The undisturbed run
-comes first; it compiles the programs and its time is the unit of the moments. Then the same command is given again and
-again, and ended by SIGKILL after a random time; with --workers every other kill hits a worker instead, and the run has
-to go on by itself. When all kills are spent, or the store is whole, a last run is left to end. Where a store is whole
-before all kills are spent, the next one is begun. Exit code 1 if a store differs from the undisturbed one in a byte,
-or a run says that it failed.
+comes first; it compiles the programs. Then the same command is given again and again, and after random times a process
+is ended by SIGKILL. These times are at most --longest, which is a little more than a second undisturbed run takes
+unless it is given. A fourth of them count from the start or the kill before, the others from the first picture that is
+written then. What is killed:
+
+- the run;
+- with --workers N: in turn the run and one of its workers, whose loss the run has to survive;
+- with --cluster as well: in turn the run, one of N `dask worker` and their `dask scheduler`. Where the scheduler was
+  killed the run may end, if it says so.
+
+Whatever ended is started again. When all kills are spent, or the store is whole, a last run is left to end. Where a
+store is whole before all kills are spent, the next one is begun. Exit code 1 if a store differs from the undisturbed
+one in a byte, or a run says that it failed.
 """
 
 import argparse
+import math
 import os
 import random
+import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+# What a run says whose scheduler is lost, or was lost before it began.
+_SCHEDULER_LOST = ("The scheduler was lost", "No scheduler with workers answered")
+
+# Share of the kills that may hit a process that has only begun: the start takes long, and has little to lose.
+_EARLY_SHARE = 0.25
 
 
 @dataclass
 class Kills:
     """Kills of a run, and how the store that was left compares.
 
-    **Fields:** `runs` and `workers` that were killed; `stores` that were compared, `same` of them equal; `faults`: what
-    runs said that were not killed and failed.
+    **Fields:** `killed`: numbers of "runs", "workers" and "schedulers"; `writing`: kills before which pictures had been
+    written since the kill, or the start, before; `stores` that were compared, `same` of them
+    equal; `without`: runs that said that the scheduler was lost; `faults`: what other runs said that were not killed
+    and failed.
     """
 
-    runs: int = 0
-    workers: int = 0
+    killed: Counter[str] = field(default_factory=Counter)
+    writing: int = 0
     stores: int = 0
     same: int = 0
+    without: int = 0
     faults: list[str] = field(default_factory=list)
 
     @property
     def total(self) -> int:
         """Number of kills."""
-        return self.runs + self.workers
+        return self.killed.total()
 
     @property
     def lossless(self) -> bool:
@@ -54,10 +78,51 @@ class Kills:
     def line(self) -> str:
         """Sentence for people."""
         faults = "".join(f"\n{fault}" for fault in self.faults)
+        killed = self.killed
         return (
-            f"{self.total} kills ({self.runs} of runs, {self.workers} of workers): {self.same} of {self.stores} stores "
-            f"equal the undisturbed one, {len(self.faults)} runs failed.{faults}"
+            f"{self.total} kills ({killed['runs']} of runs, {killed['workers']} of workers, {killed['schedulers']} of "
+            f"schedulers; {self.writing} after pictures were written): "
+            f"{self.same} of {self.stores} stores equal the undisturbed one, {self.without} runs said that the "
+            f"scheduler was lost, {len(self.faults)} runs failed.{faults}"
         )
+
+
+class Cluster:
+    """A `dask scheduler` and `dask worker`s beside the run: processes that are started again where they ended.
+
+    **Fields:** `address` of the scheduler; `processes`: the scheduler's, then those of the workers.
+    """
+
+    def __init__(self, workers: int):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        self.address = f"tcp://127.0.0.1:{port}"
+        # A worker without the process that would start it again: that is done here.
+        scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+        worker = ["worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        self._commands = [[sys.executable, "-m", "dask", *command] for command in (scheduler, *[worker] * workers)]
+        self.processes = [_silent(command) for command in self._commands]
+
+    def mend(self) -> None:
+        """Starts what has ended: workers end by themselves when they lose their scheduler."""
+        for number, process in enumerate(self.processes):
+            if process.poll() is not None:
+                self.processes[number] = _silent(self._commands[number])
+
+    def living(self) -> dict[str, list[int]]:
+        """Its processes that have not ended, by their kind."""
+        scheduler, *workers = self.processes
+        kinds = {"schedulers": [scheduler], "workers": workers}
+        return {kind: [one.pid for one in these if one.poll() is None] for kind, these in kinds.items()}
+
+    def __enter__(self) -> "Cluster":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        for process in self.processes:
+            process.kill()
+            process.wait()
 
 
 def main() -> int:
@@ -65,6 +130,7 @@ def main() -> int:
     parser.add_argument("file", nargs="?")
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--workers", type=int)
+    parser.add_argument("--cluster", action="store_true")
     parser.add_argument("--pictures", type=int, default=24)
     parser.add_argument("--every", type=int, default=4)
     parser.add_argument("--group", type=int, default=4)
@@ -72,7 +138,11 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=41)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--longest", type=float, default=0.0)
+    parser.add_argument("--options", type=shlex.split, default=[])
     chosen = parser.parse_args()
+    if chosen.cluster and chosen.workers is None:
+        parser.error("--cluster needs --workers N, the number of its workers.")
     with tempfile.TemporaryDirectory() as temporary:
         folder = chosen.folder or Path(temporary)
         file, _, size = (chosen.file or "").partition(":")
@@ -82,7 +152,10 @@ def main() -> int:
         options = [file, *(["--size", size] if size else []), "--scale", str(chosen.scale)]
         options += ["--start", str(first), "--stop", str(first + chosen.pictures * chosen.every)]
         options += ["--every", str(chosen.every), "--group", str(chosen.group), "--frames", str(chosen.frames)]
-        kills = kill_often(folder, options, chosen.kills, chosen.workers, random.Random(chosen.seed))
+        options += chosen.options
+        processes = {"workers": chosen.workers, "cluster": chosen.cluster}
+        chance = random.Random(chosen.seed)
+        kills = kill_often(folder, options, chosen.kills, chance, longest=chosen.longest, **processes)
     print(kills.line)
     return 0 if kills.lossless else 1
 
@@ -100,53 +173,99 @@ def simulated(file: Path, frames: int) -> Path:
     return file
 
 
-def kill_often(folder: Path, options: list[str], number: int, workers: int | None, chance: random.Random) -> Kills:
-    """Kills runs of `scsr sequence` with these options `number` times, in `folder`."""
+def kill_often(
+    folder: Path,
+    options: list[str],
+    number: int,
+    chance: random.Random,
+    *,
+    longest: float = 0.0,
+    workers: int | None = None,
+    cluster: bool = False,
+) -> Kills:
+    """Kills runs of `scsr sequence` with these options `number` times, in `folder`; with `workers` these as well, and
+    with `cluster` their scheduler, too. Between kills there are at most `longest` seconds; where it is 0, a little more
+    than what a second undisturbed run takes."""
     kills, whole, store = Kills(), folder / "undisturbed.zarr", folder / "killed.zarr"
-    many = [] if workers is None else ["--workers", str(workers)]
-    started(whole, options).communicate()
-    begin = time.monotonic()
-    shutil.rmtree(whole)
-    ended, said = _end(started(whole, options))  # with programs that are compiled
-    if ended != 0:
-        kills.faults.append(said)
-        return kills
-    usual = time.monotonic() - begin
-    expected = content(whole)
-    while kills.total < number:
-        shutil.rmtree(store, ignore_errors=True)
-        while True:
-            process = started(store, [*options, *many])
-            if kills.total >= number:
-                ended, said = _end(process)
-            else:
-                try:
-                    process.wait(chance.uniform(0, 1.2 * usual))
-                except subprocess.TimeoutExpired:
-                    ended, said = _killed(process, workers is not None and kills.total % 2 == 1, kills, chance)
-                else:
-                    ended, said = _end(process)
-            if ended == 0:
-                break
-            if ended != -signal.SIGKILL:
-                kills.faults.append(said)
-                return kills
-        kills.stores += 1
-        kills.same += content(store) == expected
-        print(kills.line, flush=True)
+    with Cluster(workers) if cluster and workers is not None else nullcontext() as beside:
+        many = [] if workers is None else ["--workers", str(workers)]
+        if beside is not None:
+            many = ["--scheduler", beside.address]
+        _, said = (process := started(whole, options)).communicate()
+        if process.returncode == 0 and longest == 0.0:  # with programs that are compiled
+            shutil.rmtree(whole)
+            begin = time.monotonic()
+            _, said = (process := started(whole, [*options, *many])).communicate()
+            longest = 1.2 * (time.monotonic() - begin)
+        if process.returncode != 0:
+            kills.faults.append(said)
+            return kills
+        expected = content(whole)
+        while kills.total < number:
+            shutil.rmtree(store, ignore_errors=True)
+            while _disturbed(started(store, [*options, *many]), store, longest, number, beside, kills, chance) != 0:
+                if kills.faults:
+                    return kills
+            kills.stores += 1
+            kills.same += content(store) == expected
     return kills
 
 
-def _killed(process: "subprocess.Popen[str]", worker: bool, kills: Kills, chance: random.Random) -> tuple[int, str]:
-    """Kills the run, or one of its workers, after which the run is left to end; its exit code and what it said."""
-    children = workers_of(process.pid) if worker else []
-    if children:
-        kills.workers += 1
-        os.kill(chance.choice(children), signal.SIGKILL)
-    else:
-        kills.runs += 1
-        process.kill()
-    return _end(process)
+def _disturbed(
+    run: "subprocess.Popen[str]",
+    store: Path,
+    longest: float,
+    number: int,
+    cluster: Cluster | None,
+    kills: Kills,
+    chance: random.Random,
+) -> int:
+    """Kills the run or what works for it, after random times of at most `longest` seconds, until the run ends or there
+    were `number` kills; the exit code of the run."""
+    while True:
+        before, early = _newest(store), chance.random() < _EARLY_SHARE
+        seconds = chance.uniform(0, longest) if kills.total < number else math.inf
+        if not early:
+            _wait(run, math.inf, cluster, store, before)
+        if _wait(run, seconds, cluster):
+            break
+        living = {"workers": workers_of(run.pid)} if cluster is None else cluster.living()
+        victims = {"runs": [run.pid], **{kind: these for kind, these in living.items() if these}}
+        kind = min(victims, key=lambda kind: kills.killed[kind])
+        with suppress(ProcessLookupError):  # a worker that ended meanwhile
+            os.kill(chance.choice(victims[kind]), signal.SIGKILL)
+            kills.killed[kind] += 1
+            kills.writing += _newest(store) != before
+    _, said = run.communicate()
+    if run.returncode not in (0, -signal.SIGKILL):
+        if kills.killed["schedulers"] and len(said.splitlines()) == 1 and any(one in said for one in _SCHEDULER_LOST):
+            kills.without += 1
+        else:
+            kills.faults.append(said)
+    print(kills.line, flush=True)
+    return run.returncode
+
+
+def _wait(
+    run: "subprocess.Popen[str]",
+    seconds: float,
+    cluster: Cluster | None,
+    store: Path | None = None,
+    before: float = 0.0,
+) -> bool:
+    """Whether the run ends within these seconds, or before a picture is written to `store` whose newest one was written
+    `before`; meanwhile the cluster is mended."""
+    end = time.monotonic() + seconds
+    while run.poll() is None and time.monotonic() < end and (store is None or _newest(store) == before):
+        if cluster is not None:
+            cluster.mend()
+        time.sleep(0.05)
+    return run.poll() is not None
+
+
+def _newest(store: Path) -> float:
+    """When the last picture was written to a store; 0 where there is none."""
+    return max((file.stat().st_mtime for file in (store / "image" / "c").glob("*/0/0")), default=0.0)
 
 
 def workers_of(process: int) -> list[int]:
@@ -169,14 +288,14 @@ def started(store: Path, options: list[str]) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
-def _end(process: "subprocess.Popen[str]") -> tuple[int, str]:
-    _, said = process.communicate()
-    return process.returncode, said
+def _silent(command: list[str]) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def content(store: Path) -> dict[str, bytes]:
-    """The files of a store by their names."""
-    return {str(file.relative_to(store)): file.read_bytes() for file in store.rglob("*") if file.is_file()}
+    """The files of a store by their names, but for those that a worker of an earlier run was writing when it ended."""
+    files = (file for file in store.rglob("*") if file.is_file() and file.suffix != ".partial")
+    return {str(file.relative_to(store)): file.read_bytes() for file in files}
 
 
 if __name__ == "__main__":

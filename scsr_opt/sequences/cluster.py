@@ -6,13 +6,13 @@ not grow with the number of pictures. A group whose worker is lost is solved aga
 """
 
 import logging
-import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scsr_opt._threads import cores
 from scsr_opt._validation import whole
 from scsr_opt.errors import InputError
 from scsr_opt.sequences.plan import Plan
@@ -133,8 +133,7 @@ def _client(workers: Workers) -> Iterator[Any]:
         )
         address: Any = workers.scheduler
         if workers.number is not None:
-            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-            threads = str(max(1, cores // workers.number))
+            threads = str(max(1, cores() // workers.number))
             address = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers.number,
@@ -143,7 +142,7 @@ def _client(workers: Workers) -> Iterator[Any]:
                     dashboard_address=":0",
                     silence_logs=logging.CRITICAL,
                     memory_limit=0,
-                    # XLA's threads and those of NumPy's libraries: together as many as there are cores.
+                    # Threads of XLA (and `in_threads`) and of NumPy's libraries: together as many as there are cores.
                     env={"NPROC": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
                 )
             )

@@ -12,13 +12,20 @@ from scsr_opt.sequences import Plan, SequenceStore, write_sequence
 
 
 @pytest.mark.slow  # each run is a process that imports JAX
-@pytest.mark.parametrize("workers", [None, 2])
-def test_a_sequence_that_is_killed_loses_nothing(tmp_path, workers):
+@pytest.mark.parametrize(
+    "mode, kinds",
+    [
+        ({}, {"runs"}),
+        ({"workers": 2}, {"runs", "workers"}),
+        ({"workers": 2, "cluster": True}, {"runs", "workers", "schedulers"}),
+    ],
+)
+def test_a_sequence_that_is_killed_loses_nothing(tmp_path, mode, kinds):
     simulated(tmp_path / "object.npy", 51)
     options = [str(tmp_path / "object.npy"), "--scale", "2", "--start", "15", "--stop", "33", "--every", "3"]
     options += ["--group", "2", "--frames", "31", "--motion", "global", "--strength", "0.01"]
-    kills = kill_often(tmp_path, options, 4, workers, random.Random(1))
-    assert kills.lossless and kills.total == 4, kills.line
+    kills = kill_often(tmp_path, options, 4, random.Random(1), **mode)
+    assert kills.lossless and kills.total == 4 and set(kills.killed) == kinds, kills.line
 
 
 def test_a_solve_that_is_interrupted_goes_on_to_the_same_bits(tmp_path, files, monkeypatch):

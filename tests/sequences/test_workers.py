@@ -2,13 +2,16 @@
 
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
 
+from benchmarks.killing import Cluster, simulated
 from scsr_opt import InputError
 from scsr_opt.sequences import SequenceStore, Workers, write_sequence
 
 distributed = pytest.importorskip("distributed")
+LoopRunner, sync = distributed.utils.LoopRunner, distributed.utils.sync
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
 
@@ -60,6 +63,46 @@ def test_a_scheduler_without_workers_is_said(tmp_path, plan, stand_in, monkeypat
             write_sequence(plan, tmp_path / "a.zarr", workers=Workers(scheduler=empty.scheduler_address))
 
 
+@contextmanager
+def worker_of(address):
+    """A worker of a scheduler in a thread of this process, so that it uses the stand-in."""
+    runner = LoopRunner(asynchronous=False)
+    runner.start()
+
+    async def begin():
+        return await distributed.Worker(address, nthreads=1, memory_limit=0, dashboard=False)
+
+    worker = sync(runner.loop, begin)
+    try:
+        yield
+    finally:
+        sync(runner.loop, worker.close)
+        runner.stop()
+
+
+def test_a_scheduler_that_is_killed_is_said_and_the_same_command_goes_on(tmp_path, plan, stand_in, files, monkeypatch):
+    write_sequence(plan, tmp_path / "alone.zarr")
+    stand_in.solved.clear()
+
+    def killing(*given, **named):
+        for solution in stand_in(*given, **named):
+            if len(stand_in.solved) == 6:
+                cluster.processes[0].kill()
+            yield solution
+
+    with Cluster(workers=0) as cluster:
+        workers = Workers(scheduler=cluster.address)
+        with monkeypatch.context() as patched, worker_of(cluster.address):
+            patched.setattr("scsr_opt.sequences.run.reconstruct_sequence", killing)
+            with pytest.raises(InputError, match="The scheduler was lost: give the command again"):
+                write_sequence(plan, tmp_path / "a.zarr", workers=workers)
+        cluster.processes[0].wait()
+        cluster.mend()
+        with worker_of(cluster.address):
+            assert write_sequence(plan, tmp_path / "a.zarr", workers=workers).there in (4, 8)
+    assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
+
+
 @pytest.mark.parametrize("given", [{}, {"number": 2, "scheduler": "tcp://a:1"}, {"number": 0}, {"number": -1}])
 def test_workers_that_cannot_be_are_refused(given):
     with pytest.raises(InputError):
@@ -81,16 +124,14 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow  # each worker is a process that imports JAX
-def test_one_two_and_five_workers_write_identical_stores(tmp_path, files):
-    """Of real solves; and so does one process without workers."""
-    from benchmarks.killing import simulated
-
+def test_one_to_ten_workers_write_identical_stores(tmp_path, files):
+    """Of real solves, in ten groups; and so does one process without workers."""
     file = simulated(tmp_path / "object.npy", 61)
     script = tmp_path / "scsr.py"
     script.write_text(_PROGRAM)
-    options = ["--start", "20", "--stop", "40", "--every", "4", "--group", "2", "--scale", "2", "--frames", "31"]
+    options = ["--start", "20", "--stop", "40", "--every", "2", "--group", "1", "--scale", "2", "--frames", "31"]
     stores = {}
-    for workers in (None, 1, 2, 5):
+    for workers in (None, 1, 2, 5, 10):
         store = tmp_path / f"{workers}.zarr"
         many = [] if workers is None else ["--workers", str(workers)]
         command = [sys.executable, str(script), "sequence", str(file), *options, *many, "-o", str(store), "--quiet"]

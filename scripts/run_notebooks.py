@@ -18,8 +18,15 @@ def main(names: list[str]) -> None:
     for path in [FOLDER / f"{name}.ipynb" for name in names] or sorted(FOLDER.glob("*.ipynb")):
         began, busy = time.perf_counter(), _busy()
         notebook = nbformat.read(path, as_version=4)
-        # Without a record of the times, so that a run which changes nothing leaves the file as it was.
-        client = NotebookClient(notebook, timeout=600, resources={"metadata": {"path": FOLDER}}, record_timing=False)
+        # Without a record of the times, and all that a cell prints in one piece, so that a run which changes nothing
+        # leaves the file as it was.
+        client = NotebookClient(
+            notebook,
+            timeout=600,
+            resources={"metadata": {"path": FOLDER}},
+            record_timing=False,
+            coalesce_streams=True,
+        )
         client.execute()
         notebook.metadata = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
         nbformat.write(notebook, path)

@@ -48,6 +48,15 @@ def test_is_saved_with_its_pictures(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=_by_name)
+def test_pictures_have_alternative_texts(path):
+    """A cell that draws says in its metadata what there is to see; the site shows it (MyST-NB's option `image`)."""
+    for cell in nbformat.read(path, as_version=4).cells:
+        if any("image/png" in out.get("data", {}) for out in cell.get("outputs", [])):
+            text = cell.metadata.get("mystnb", {}).get("image", {}).get("alt", "")
+            assert len(text) > 40, f"{cell.id} draws, but its metadata lack mystnb.image.alt"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=_by_name)
 def test_imports_what_there_is(path):
     """Every name that a notebook imports from the packages exists, without running it."""
     source = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code")

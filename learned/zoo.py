@@ -328,18 +328,9 @@ def _centred(name: str, network: Network) -> Optimizer:
 @functools.cache
 def best(scale: int) -> NetworkRestoration:
     """The restoration of `reconstruct(…, quality="best")`: the network of the scale or the next smaller one that has
-    one, whose weights are read once.
-
-    **Raises:** `InputError` if there is none.
-    """
-    scales = sorted(int(file.stem.rpartition("-x")[2]) for file in CHECKPOINTS.glob(f"{CENTRED}-x*.scsr"))
-    below = [one for one in scales if one <= scale]
-    if not below:
-        there = f"from scale {scales[0]} on" if scales else "for no scale"
-        raise InputError(
-            f"quality is 'best' and the scale is {scale}, but there are networks {there}: take quality='fast'."
-        )
-    found = model(CENTRED, below[-1])
+    one (×1 has), whose weights are read once."""
+    scales = (int(file.stem.rpartition("-x")[2]) for file in CHECKPOINTS.glob(f"{CENTRED}-x*.scsr"))
+    found = model(CENTRED, max(one for one in scales if one <= scale))
     assert isinstance(found, Optimizer) and found.restoration is not None
     return found.restoration
 

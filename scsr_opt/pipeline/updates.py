@@ -175,7 +175,7 @@ class Finished(NamedTuple):
 
 def solve_with_updates(assembly: Assembly, state: Any, updates: tuple[Update, ...]) -> Finished:
     """Solves, and for each of the updates, in this order, applies it and solves again."""
-    found = assembly.solve(state)
+    found = _first(assembly).solve(state)
     stages, first = list(found.outcome.stages), 0
     for update in updates:
         for number in range(update.rounds(assembly)):
@@ -192,6 +192,15 @@ def solve_with_updates(assembly: Assembly, state: Any, updates: tuple[Update, ..
             stages += found.outcome.stages
     numbered = tuple(replace(stage, number=number) for number, stage in enumerate(stages, 1))
     return Finished(assembly, found, numbered, first)
+
+
+def _first(assembly: Assembly) -> Assembly:
+    """The problem as it is solved first: less exactly if the solution is to be restored."""
+    if not assembly.restores:
+        return assembly
+    method, factor = assembly.method, assembly.task.options.settings.outer_loop.restored_tolerances
+    solver = replace(method.solver, tolerance=factor * method.solver.tolerance)
+    return replace(assembly, method=replace(method, solver=solver))
 
 
 def solved_by(assembly: Assembly, found: Majorized) -> Solved:

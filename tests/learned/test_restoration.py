@@ -313,10 +313,6 @@ def test_quality_takes_a_restoration_of_ones_own(recording):
         ({"quality": "good"}, "quality is 'good'; it must be 'fast', 'best' or a Restoration"),
         ({"quality": "best", "robust": Huber()}, "quality is 'best' and robust is Huber"),
         ({"quality": "best", "prior": HuberTotalVariation()}, "quality is 'best' and the prior is HuberTotalVariation"),
-        (
-            {"quality": "best", "scale": 1},
-            "quality is 'best' and the scale is 1, but there are networks from scale 2 on",
-        ),
     ],
 )
 def test_quality_that_cannot_be(recording, options, message):
@@ -325,4 +321,4 @@ def test_quality_that_cannot_be(recording, options, message):
 
 
 def test_best_takes_the_network_of_the_next_smaller_scale():
-    assert best(3) == best(2) and best(7) == best(4) and best(2).net.config != best(4).net.config
+    assert best(1).net.config.scale == 1 and best(3) == best(2) and best(7) == best(4) and best(2).net.config != best(4).net.config

@@ -195,11 +195,11 @@ def solve_with_updates(assembly: Assembly, state: Any, updates: tuple[Update, ..
 
 
 def _first(assembly: Assembly) -> Assembly:
-    """The problem as it is solved first: less exactly if the solution is to be restored."""
-    if not assembly.restores:
+    """The problem as it is solved first: less exactly if the solution is to be restored and its pixels are many."""
+    settings, method = assembly.task.options.settings, assembly.method
+    if not assembly.restores or assembly.task.scale <= settings.learned_prior_scale:
         return assembly
-    method, factor = assembly.method, assembly.task.options.settings.outer_loop.restored_tolerances
-    solver = replace(method.solver, tolerance=factor * method.solver.tolerance)
+    solver = replace(method.solver, tolerance=settings.outer_loop.restored_tolerances * method.solver.tolerance)
     return replace(assembly, method=replace(method, solver=solver))
 
 

@@ -258,8 +258,17 @@ class LoadedModel:
     model: "Model"
     scale: int
 
-    def __call__(self, spikes: ArrayLike | Recording, **options: Any) -> Solution:
-        """The picture of a key frame; `options` as of `Optimizer` or `Network` (`key`, `white_rate`, …)."""
+    def __call__(
+        self, spikes: ArrayLike | Recording, *, scale: SupportsIndex | None = None, **options: Any
+    ) -> Solution:
+        """The picture of a key frame; `options` as of `Optimizer` or `Network` (`key`, `white_rate`, …).
+
+        **Raises:** as these, and `InputError` if `scale` is given and is another one than the model's.
+        """
+        if scale is not None and whole(scale, "scale", 1) != self.scale:
+            raise InputError(
+                f"scale is {scale}, but {self.id} is a model for scale {self.scale}: take that, or load another model."
+            )
         return self.model(spikes, scale=self.scale, **options)
 
 

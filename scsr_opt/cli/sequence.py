@@ -228,7 +228,8 @@ def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, second
     if moving:
         anew = done.estimated
         times = "once" if len(anew) == 1 else f"{len(anew)} times"
-        lines.append(f"Motion was estimated {times}, at {_listed(anew)}, and carried on between.")
+        between = ", and carried on between" if len(anew) < asked else ""
+        lines.append(f"Motion was estimated {times}, at {_listed(anew)}{between}.")
     return [*lines, done.white]
 
 

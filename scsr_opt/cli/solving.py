@@ -88,7 +88,7 @@ class Solving:
         Literal["fast", "best"],
         Parameter(
             help="best: a network improves the picture, and a second solve, with a prior around the network's picture, "
-            "makes it agree with the data: a better picture in two to four times the time, from --scale 2 on."
+            "makes it agree with the data: a better picture in one to three times the time."
         ),
     ] = "fast"
     prior: Annotated[

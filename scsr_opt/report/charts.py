@@ -101,7 +101,8 @@ def zoomed_crops(
     **Arguments:**
     - `columns`: name → picture (H, W), all of one size; the last one chooses the parts.
     - `scale`: pixels per sensor pixel.
-    - `parts`: (top, left, height, width) in pixels; the two with most detail that do not overlap if None.
+    - `parts`: (top, left, height, width) in pixels; if None, the two with most detail that do not overlap, or one
+      where the pictures are too small for two.
     """
     pictures = _alike(columns)
     judged = list(pictures.values())[-1]
@@ -110,7 +111,9 @@ def zoomed_crops(
         top, left, tall, wide = first
         flat = judged.copy()
         flat[max(top - tall, 0) : top + 2 * tall, max(left - wide, 0) : left + 2 * wide] = float(judged.mean())
-        parts = [first, detailed_part(flat, scale=scale)]
+        second = detailed_part(flat, scale=scale)
+        apart = abs(second[0] - top) >= tall or abs(second[1] - left) >= wide
+        parts = [first, second] if apart else [first]
     white = _white_level(pictures.values())
     with matplotlib.rc_context(_STYLE):
         tall = sum(_TILE * part[2] / part[3] for part in parts)
@@ -186,7 +189,7 @@ def velocity_map(
     with matplotlib.rc_context(_STYLE):
         across = 5.0
         drawn, (axes, legend) = _page(
-            (across + 2.0, across * height / width + 0.5), title, columns=2, width_ratios=[across, 1.4]
+            (across + 2.0, max(across * height / width, 1.5) + 1.0), title, columns=2, width_ratios=[across, 1.4]
         )
         axes.imshow(motion_colours(velocity, full), interpolation="nearest")
         axes.set_title("Motion: none" if full == 0.0 else "Motion", loc="left", fontsize=10)

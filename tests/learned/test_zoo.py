@@ -247,6 +247,8 @@ def test_what_cannot_be(shelf, tmp_path, recording, posed):
             load_model(name)
     with pytest.raises(InputError, match="There is no model 'magic': take one of ista-tv"):
         load_model("magic-x2")
+    with pytest.raises(InputError, match="scale is 4, but ridge-x2 is a model for scale 2"):
+        load_model("ridge-x2")(recording, scale=4)
     with pytest.raises(InputError, match=r"for scale 4 \(shipped are: ridge-centred-x2, spikesr-small-x2, "):
         model("spikesr-small", 4)
     with pytest.raises(InputError, match="cannot be read"):

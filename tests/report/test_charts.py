@@ -48,6 +48,8 @@ def shown(axes: Any) -> np.ndarray:
 
 def drawn_once(figure) -> None:
     FigureCanvasAgg(figure).draw()  # layout and texts, under warnings as errors
+    used, page = figure.get_tightbbox(), figure.bbox_inches  # nothing is cut off
+    assert used.x0 > -0.02 and used.y0 > -0.02 and used.x1 < page.x1 + 0.02 and used.y1 < page.y1 + 0.02
 
 
 def test_spike_raster_shows_the_spikes_of_the_pixels_named():
@@ -75,6 +77,8 @@ def test_zoomed_crops_shows_the_same_part_of_each():
         for part, image in zip(row, pictures.values(), strict=True):
             assert np.array_equal(part, image[top : top + 10, left : left + 20])
     drawn_once(zoomed_crops(pictures, scale=1))
+    small = zoomed_crops({name: picture[:40, :40] for name, picture in pictures.items()}, scale=2)
+    assert len(small.axes) == 4  # one row: two parts would overlap
     with pytest.raises(InputError, match="one size"):
         zoomed_crops({"a": np.zeros((3, 4)), "b": np.zeros((4, 4))})
 

@@ -185,8 +185,10 @@ def _score_test(
     noise, a, b, d, pull, pull_right = smoothed(np.stack(fields), window)
     samples = np.float32(4 * np.pi * window**2)  # effective number of pixels in a Gaussian window
     a, b, d, pull, pull_right = (of / (noise + np.float32(1e-8)) * samples for of in (a, b, d, pull, pull_right))
-    a, d = a + np.float32(1e-3), d + np.float32(1e-3)
-    determinant = a * d - b * b
+    least = np.float32(1e-3)
+    a, d = a + least, d + least
+    # Without rounding it is no less, as a·d ≥ b² before `least` was added.
+    determinant = np.maximum(a * d - b * b, least * (a + d - least))
     down, right = (d * pull - b * pull_right) / determinant, (a * pull_right - b * pull) / determinant
     poorest = (a + d) / 2 - np.sqrt(((a - d) / 2) ** 2 + b * b)
     gain = pull * down + pull_right * right

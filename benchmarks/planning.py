@@ -171,7 +171,7 @@ def seconds_of_a_task(tasks: int = 500) -> float:
     import distributed
 
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0") as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         client.submit(int, pure=False).result()

@@ -132,7 +132,7 @@ def sequence(
         place = live_output(output, latest=latest, bits=bits, gamma=gamma, overwrite=overwrite)
         picked = {"scale": scale, "every": every, "start": start, "stop": stop, "white": white, **choices}
         return follow(output, place, reading, solving, quiet=quiet, **picked)
-    if str(file).startswith("-"):
+    if str(file).startswith("-") and not Path(file).exists():
         raise InputError(f"Unknown option: {file}; a file of that name is ./{file}.")
     if latest:
         raise InputError("--latest is for a stream, whose FILE is -: leave it out, or take scsr solve for one picture.")

@@ -119,7 +119,7 @@ class SequenceStore:
         wrong = [name for name in names if name not in self._arrays or name not in fixed and
                  self._array(name).shape[0] != pictures]  # fmt: skip
         if wrong:
-            raise InputError(f"array {wrong[0]} is missing or has another length than the {pictures} pictures")
+            raise InputError(f"array {wrong[0]} is missing or has another length than the {pictures} pictures.")
 
     def _array(self, name: str) -> "zarr.Array":
         if name not in self._opened:  # zarr reads the metadata each time

@@ -190,7 +190,7 @@ def test_stream_that_is_interrupted_is_reported(here, number, code, message):
             break
         threading.Event().wait(0.05)
     running.send_signal(number)
-    assert running.wait(30) == code
+    assert running.wait(120) == code
     said, errors = running.stdout.read().decode(), running.stderr.read().decode()
     assert said.startswith("out: 1 picture of frame 0 written; ") and "Delay" in said
     assert errors == message and os.listdir("out/images") == ["0000000000.png"]

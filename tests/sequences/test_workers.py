@@ -99,7 +99,7 @@ def test_a_scheduler_that_is_killed_is_said_and_the_same_command_goes_on(tmp_pat
         cluster.processes[0].wait()
         cluster.mend()
         with worker_of(cluster.address):
-            assert write_sequence(plan, tmp_path / "a.zarr", workers=workers).there in (4, 8)
+            assert write_sequence(plan, tmp_path / "a.zarr", workers=workers).there in (4, 8, 10)  # whole groups
     assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
 
 

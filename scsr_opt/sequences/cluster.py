@@ -121,7 +121,8 @@ def _client(workers: Workers) -> Iterator[Any]:
     import distributed
     from dask import config
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by an error
+    for name in ("distributed", "distributed.client"):  # the second has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is said by an error
     with ExitStack() as stack:
         stack.enter_context(
             config.set(

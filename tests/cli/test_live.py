@@ -162,7 +162,8 @@ def test_stream_that_breaks_off_says_so(capsys, stream, solves, monkeypatch):
 
 
 PROGRAM = """
-import sys, numpy as np, scsr_opt.cli.app as app, scsr_opt.sequences.live as live
+import signal, sys, numpy as np, scsr_opt.cli.app as app, scsr_opt.sequences.live as live
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 from scsr_opt import Solution, Status
 def stand_in(recording, *, scale, key, options):
     return Solution(image=np.full((scale * recording.height, scale * recording.width), 0.25, np.float32), scale=scale,

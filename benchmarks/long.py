@@ -69,7 +69,8 @@ def watched(process: "subprocess.Popen[bytes]", store: Path) -> list[tuple[float
 
 
 def quarters(seen: list[tuple[float, int, int]], pictures: int) -> list[tuple[int, int, float]]:
-    """Of each quarter of the pictures: how many were there at its end, the peak of memory, MB, and its seconds."""
+    """A row for each quarter of the pictures: pictures that were there at its end, peak of resident memory in MB, and
+    seconds that it took. `seen` is what `watched` returns."""
     found, before = [], 0.0
     for quarter in range(4):
         part = [one for one in seen if min(4 * one[1] // pictures, 3) == quarter]
@@ -80,7 +81,7 @@ def quarters(seen: list[tuple[float, int, int]], pictures: int) -> list[tuple[in
 
 
 def table(rows: list[tuple[int, int, float]]) -> str:
-    """For people."""
+    """The rows of `quarters` as a table in Markdown."""
     lines = ["| quarter | pictures there | peak, MB | seconds |", "|---|--:|--:|--:|"]
     return "\n".join(
         lines + [f"| {n} | {there} | {peak} | {taken:.0f} |" for n, (there, peak, taken) in enumerate(rows, 1)]

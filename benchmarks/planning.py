@@ -1,4 +1,4 @@
-"""What sequences of long recordings cost on many workers: figures of this machine, and a simulation fed with them.
+"""Cost of sequences of long recordings on many workers: figures of this machine, and a simulation fed with them.
 
     python -m benchmarks.planning FILE[:WIDTHxHEIGHT] [--scale 4] [--every 2] [--page docs/planning.md]
 
@@ -47,7 +47,7 @@ _STORAGE = {"1 GB/s": 1e9, "20 GB/s": 2e10}
 
 @dataclass(frozen=True)
 class Costs:
-    """What a sequence costs.
+    """Costs of a sequence, as they are measured for one worker.
 
     **Fields:** `start`, seconds until a worker works; `first` and `following`, core-seconds of the first picture of a
     group and of each other one; `handing_out`, seconds of the scheduler for a group; `read`, bytes of a group of
@@ -78,7 +78,7 @@ class Course(NamedTuple):
 
     @property
     def limit(self) -> str:
-        """What is busiest."""
+        """Name of the part that is busy for the largest share: "solving", "storage" or "scheduler"."""
         shares = {"solving": self.workers, "storage": self.storage, "scheduler": self.scheduler}
         return max(shares, key=lambda name: shares[name])
 
@@ -128,7 +128,7 @@ class _Times:
 
 
 def on_cores(cores: int, function: Callable[..., Result], *arguments: Any) -> Result:
-    """What `function` returns in a new process that has so many cores."""
+    """Calls `function` in a new process that may use so many cores, and returns its result."""
     chosen = sorted(os.sched_getaffinity(0))[:cores]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, os.sched_setaffinity, (0, chosen)) as process:
@@ -167,7 +167,7 @@ def tiled(recording: Recording, side: int) -> Recording:
 
 
 def seconds_of_a_task(tasks: int = 500) -> float:
-    """Of the scheduler, for each of so many empty tasks that are handed out a few at a time."""
+    """Seconds that the scheduler takes for a task: the mean over so many empty ones, handed out a few at a time."""
     import distributed
 
     with (
@@ -187,7 +187,8 @@ def seconds_of_a_task(tasks: int = 500) -> float:
 
 
 def bytes_of_frames(keys: range, shape: tuple[int, int], around: int = 801) -> float:
-    """That are read for a group of neighbouring pictures: `around` frames, which tell whether lamps flicker."""
+    """Bytes of the frames that a group of neighbouring pictures reads: `around` frames about each key frame, which tell
+    whether lamps flicker. `shape`: rows and columns of the sensor."""
     return ((_GROUP - 1) * keys.step + around) * -(-shape[0] * shape[1] // 8)
 
 
@@ -212,7 +213,7 @@ def measured(file: str, scale: int, every: int) -> tuple[Costs, str]:
 
 
 def page(file: str, scale: int, every: int) -> str:
-    """All figures and tables."""
+    """Text of the page: all figures and tables, in Markdown."""
     own, checked = measured(file, scale, every)
     first, *following = on_cores(1, times_of_pictures, file, every, scale, _LARGE)
     shape, keys = (_LARGE, _LARGE), range(0, _SECONDS * _FRAMES_PER_SECOND, _EVERY)

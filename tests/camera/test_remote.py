@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import http.server
+import io
 import pickle
 import sys
 import tempfile
@@ -130,8 +131,10 @@ def test_another_process_refuses_what_was_replaced_or_removed(files):
 
 
 def test_recording_in_an_archive_behind_a_url(files):
-    with fsspec.open("memory://all.zip", "wb") as stream, zipfile.ZipFile(stream, "w") as archive:  # type: ignore
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
         archive.write(files / "ramp.npy", "in/ramp.npy")
+    fsspec.filesystem("memory").pipe_file("/all.zip", content.getvalue())
     recording = read_recording("zip://in/ramp.npy::memory://all.zip")
     np.testing.assert_array_equal(recording.spikes, np.load(files / "ramp.npy"))
     assert recording.name == "ramp"

@@ -1,6 +1,8 @@
 """Fixtures that the tests of the command share: a recording, the command itself, and a stand-in for the work."""
 
+import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,9 +11,11 @@ import pytest
 
 import scsr_opt
 from scsr_opt import Diagnostics, Solution, Stage, Status
+from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera import Recording, tfp, write_recording
 from scsr_opt.cli import main
 from scsr_opt.motion import Motion
+from scsr_opt.sequences import Plan, write_sequence
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40
 
@@ -23,12 +27,16 @@ def here(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def spikes() -> np.ndarray:
-    """A ramp of firing rates from 0 at the left to 0.6 at the right, without noise."""
+def ramp() -> np.ndarray:
+    """Spikes of firing rates that rise from 0 at the left to 0.6 at the right, without noise."""
     rate = np.linspace(0.0, 0.6, WIDTH)
     charge = np.floor(np.arange(FRAMES + 1)[:, None] * rate + 1e-9)
     return np.broadcast_to(np.diff(charge, axis=0)[:, None, :], (FRAMES, HEIGHT, WIDTH)).astype(np.uint8)
+
+
+@pytest.fixture
+def spikes() -> np.ndarray:
+    return ramp()
 
 
 @pytest.fixture
@@ -83,3 +91,88 @@ def scsr(capsys) -> Callable[..., str]:
         return said.err
 
     return run
+
+
+EVERY = 10  # of the store: pictures of frames 0, 10, 20 and 30
+
+
+def quick_sequence(recording, keys, *, scale, options):
+    """A stand-in for `reconstruct_sequence`."""
+    for key in keys:
+        yield Solution(
+            image=np.full((scale * HEIGHT, scale * WIDTH), key / FRAMES, np.float32),
+            recording=recording,
+            scale=scale,
+            key=key,
+            white_rate=recording.white_rate,
+            status=Status.converged,
+            diagnostics=Diagnostics(motion_carried=False),
+        )
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory) -> Path:
+    """Folder with a good recording in every format, and a good store."""
+    folder = tmp_path_factory.mktemp("originals")
+    recording = Recording.from_array(ramp(), white_rate=0.6)
+    for name in ("ramp.npz", "ramp.npy", "ramp.h5", "ramp_40x24.dat"):
+        write_recording(folder / name, recording)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("scsr_opt.sequences.run.reconstruct_sequence", quick_sequence)
+        patch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
+        plan = Plan.of(recording, range(0, FRAMES, EVERY), scale=1, group=3)
+        write_sequence(plan, folder / "a.zarr")
+    return folder
+
+
+@pytest.fixture
+def solves(here, originals, monkeypatch) -> list[str]:
+    """Copies of the recordings in the folder of the test; returns the names of the solves that were begun."""
+    for name in ("ramp.npz", "ramp.npy", "ramp.h5", "ramp_40x24.dat"):
+        shutil.copy(originals / name, here)
+    begun: list[str] = []
+
+    def one(*_, **__):
+        begun.append("reconstruct")
+        raise RuntimeError("a solve began")
+
+    monkeypatch.setattr(scsr_opt, "reconstruct", one, raising=False)
+    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", one)
+    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
+    return begun
+
+
+def contents(folder: Path) -> dict[str, object]:
+    """Every path below a folder, with the bytes of files and the targets of links."""
+    found: dict[str, object] = {}
+    for place, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = Path(place, name)
+            key = os.path.relpath(path, folder)
+            found[key] = os.readlink(path) if path.is_symlink() else path.read_bytes() if path.is_file() else None
+    return found
+
+
+@pytest.fixture
+def refused(capsys, here, solves) -> Callable[..., str]:
+    """Runs `scsr`, which has to refuse in one line and to leave the folder as it was; returns that line."""
+
+    def run(*arguments: str) -> str:
+        before = contents(here)
+        code = main(list(arguments))
+        said = capsys.readouterr()
+        assert code in (1, 2), f"exit code {code}: {said.out}"
+        assert said.out == "", said.out
+        assert said.err.startswith("scsr: error: ") and said.err.count("\n") == 1, said.err
+        assert "a fault of the program" not in said.err and "Traceback" not in said.err, said.err
+        assert contents(here) == before
+        assert not solves
+        return said.err
+
+    return run
+
+
+@pytest.fixture
+def quickly(monkeypatch, solves) -> None:
+    """Sequences are solved for by `quick_sequence`."""
+    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", quick_sequence)

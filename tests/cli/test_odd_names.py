@@ -26,8 +26,9 @@ GOOD = [
 ]
 
 
+@pytest.mark.usefixtures("quickly")
 @pytest.mark.parametrize("name", GOOD)
-def test_odd_names_work(capsys, quickly, name):
+def test_odd_names_work(capsys, name):
     """Of the recording, of the store and of what is made from it, in a folder of that name."""
     folder = f"./{name}"
     os.mkdir(folder)
@@ -45,7 +46,8 @@ def test_odd_names_work(capsys, quickly, name):
     assert sorted(os.listdir(folder)) == sorted(f"{name}.{end}" for end in ("npz", "png", "zarr", "gif"))
 
 
-def test_recordings_by_url_work(capsys, quickly):
+@pytest.mark.usefixtures("quickly")
+def test_recordings_by_url_work(capsys):
     fsspec.filesystem("memory").pipe_file("/two words.npz", Path("ramp.npz").read_bytes())
     fsspec.filesystem("memory").pipe_file("/ramp_40x24.dat", Path("ramp_40x24.dat").read_bytes())
     assert main(["info", "memory://two words.npz"]) == 0

@@ -173,7 +173,12 @@ def measure(
         samples = eqx.tree_at(lambda s: s.weight, samples, weight)
     order, positions = _longest_first(samples, speeds, unsteady, settings, each=merged_intervals)
     samples, light = jax.tree.map(lambda values: values[order], (samples, light / np.float32(frames)))
+    measured = samples.value
     padded = (samples if gain is None else with_gain(samples, gain)).padded(least_padded)
+    # The same arrays again, which take half a gigabyte for a sensor of 1000×1000 pixels.
+    samples = jax.tree.map(lambda values: values[: measured.size], padded)
+    if gain is not None:
+        samples = eqx.tree_at(lambda s: s.value, samples, measured)
     placed = place(
         jax.tree.map(on_device, padded),
         path,

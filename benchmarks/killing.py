@@ -6,9 +6,9 @@
 
 Without FILE the recording is simulated: an object that passes before a still, 48×48 sensor pixels. The undisturbed run
 comes first; it compiles the programs. Then the same command is given again and again, and after random times a process
-is ended by SIGKILL. These times are at most --longest, which is a little more than a second undisturbed run takes
-unless it is given. A fourth of them count from the start or the kill before, the others from the first picture that is
-written then. What is killed:
+is ended by SIGKILL. A fourth of these times count from the start or the kill before, and are at most what a second
+undisturbed run takes; the others count from the first picture that is written then, and are at most what that run takes
+from its first picture to its end. Both are at most --longest, if it is given. What is killed:
 
 - the run;
 - with --workers N: in turn the run and one of its workers, whose loss the run has to survive;
@@ -184,9 +184,10 @@ def kill_often(
     cluster: bool = False,
 ) -> Kills:
     """Kills runs of `scsr sequence` with these options `number` times, in `folder`; with `workers` these as well, and
-    with `cluster` their scheduler, too. Between kills there are at most `longest` seconds; where it is 0, a little more
-    than what a second undisturbed run takes."""
+    with `cluster` their scheduler, too. Between kills there are at most `longest` seconds; where it is 0, what a second
+    undisturbed run takes in all, or from its first picture on."""
     kills, whole, store = Kills(), folder / "undisturbed.zarr", folder / "killed.zarr"
+    most = longest, longest
     with Cluster(workers) if cluster and workers is not None else nullcontext() as beside:
         many = [] if workers is None else ["--workers", str(workers)]
         if beside is not None:
@@ -195,15 +196,18 @@ def kill_often(
         if process.returncode == 0 and longest == 0.0:  # with programs that are compiled
             shutil.rmtree(whole)
             begin = time.monotonic()
-            _, said = (process := started(whole, [*options, *many])).communicate()
-            longest = 1.2 * (time.monotonic() - begin)
+            process = started(whole, [*options, *many])
+            _wait(process, math.inf, beside, whole)
+            solving = time.monotonic()
+            _, said = process.communicate()
+            most = time.monotonic() - begin, time.monotonic() - solving
         if process.returncode != 0:
             kills.faults.append(said)
             return kills
         expected = content(whole)
         while kills.total < number:
             shutil.rmtree(store, ignore_errors=True)
-            while _disturbed(started(store, [*options, *many]), store, longest, number, beside, kills, chance) != 0:
+            while _disturbed(started(store, [*options, *many]), store, most, number, beside, kills, chance) != 0:
                 if kills.faults:
                     return kills
             kills.stores += 1
@@ -214,17 +218,18 @@ def kill_often(
 def _disturbed(
     run: "subprocess.Popen[str]",
     store: Path,
-    longest: float,
+    most: tuple[float, float],
     number: int,
     cluster: Cluster | None,
     kills: Kills,
     chance: random.Random,
 ) -> int:
-    """Kills the run or what works for it, after random times of at most `longest` seconds, until the run ends or there
-    were `number` kills; the exit code of the run."""
+    """Kills the run or what works for it until the run ends or there were `number` kills; the exit code of the run.
+
+    `most`: seconds before a kill, from the start or the kill before, or from the first picture then."""
     while True:
         before, early = _newest(store), chance.random() < _EARLY_SHARE
-        seconds = chance.uniform(0, longest) if kills.total < number else math.inf
+        seconds = chance.uniform(0, most[not early]) if kills.total < number else math.inf
         if not early:
             _wait(run, math.inf, cluster, store, before)
         if _wait(run, seconds, cluster):

@@ -20,14 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from scipy.ndimage import gaussian_filter, map_coordinates, median_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from scsr_opt.camera.light import Light
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.settings import DEFAULTS, LightSettings, MotionSettings
-from scsr_opt.motion.trajectory import Motion, key_frame_positions
+from scsr_opt.motion.trajectory import Motion
 
 Spikes = Shaped[np.ndarray, "T h w"]
 Courses = Float[np.ndarray, "tiles n"]
@@ -403,67 +403,3 @@ def _mean_and_depth(
         return light.mean(1), float(np.ptp(common) / (common.max() + common.min()))
     mean, even, odd = np.linalg.lstsq(_waves(time, frequency), light.T, rcond=None)[0]
     return mean, float(np.median(np.hypot(even, odd) / mean))
-
-
-def along_motion(light: Light, pictures: MotionFrames, motion: Motion, key: int, settings: MotionSettings) -> Light:
-    """`light` with the share that each pixel has of every lamp, where tiles have had one until now.
-
-    With the motion known, light steps by δ = ΣMD / ΣM² over a window, D and M being difference and mean of neighbouring
-    pictures half a step before and after along the motion: windows may then be as small as noise allows. The shares A
-    are those of least squares in (course of the window) = common + Σ A·course.
-
-    **Arguments:** `pictures` over `light`; `motion`, found by them; `key`, frames of the key frame after the clip's
-    first.
-    """
-    limits, after = settings.light, np.asarray(pictures.after)
-    time, level = after + key, light.share[0]
-    taken = np.asarray(pictures.picture)
-    height, width = level.shape
-    here = np.indices((height, width), np.float32)
-    position, _ = key_frame_positions(motion, (after[1:] + after[:-1]) / 2, settings=settings.trajectory)
-    row, column = (
-        np.clip(np.rint(of), 0, most - 1).astype(int)
-        for of, most in zip(np.moveaxis(np.asarray(position), 1, 0), (height, width), strict=True)
-    )
-    half = np.diff(after)[:, None, None, None] / 2 * np.moveaxis(motion.velocity[:, row, column], 0, 1)
-    earlier, later = (
-        np.stack(
-            [map_coordinates(each, here + way * by, order=1, mode="nearest") for each, by in zip(of, half, strict=True)]
-        )
-        for of, way in ((taken[:-1], -1), (taken[1:], 1))
-    )
-
-    def summed(values: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "n h w"]:
-        return gaussian_filter(values, (0, limits.edge_px, limits.edge_px), mode="nearest", truncate=3)
-
-    mean = (later + earlier) / 2
-    weight = mean / (mean.mean(0) + limits.dark_rate)
-    steps = summed(weight * (later - earlier)) / (summed(weight * mean) + np.float32(1e-6))
-    # Edges of the light rest while the scene passes them, and seem to be steps: not over the light that is known.
-    seen = light.at(time) * np.exp(np.pad(np.cumsum(steps, axis=0), ((1, 0), (0, 0), (0, 0))))
-    common, *courses = (np.interp(time, light.time, course) for course in light.course)
-    seen *= common.mean() / seen.mean(0)
-    basis = np.stack(courses)
-    basis -= basis.mean(1, keepdims=True)
-    amounts = np.einsum("rn,nyx->ryx", np.linalg.pinv(basis).T, seen - common[:, None, None])
-    before = light.share[1:] / level
-    amounts = median_filter(amounts, (1, limits.edge_median_px, limits.edge_median_px), mode="nearest")
-    amounts = np.stack([_apart(*each, limits) for each in zip(amounts, before, strict=True)])
-    known = np.stack([np.ones(level.size), *before.reshape(len(before), -1)])
-    numbers = np.linalg.lstsq(known.T, level.reshape(-1), rcond=None)[0]
-    level = numbers[0] + np.einsum("r,ryx->yx", numbers[1:], amounts)
-    return dataclasses.replace(light, share=np.concatenate([level[None], level * amounts]))
-
-
-def _apart(
-    amount: Float[np.ndarray, "h w"], before: Float[np.ndarray, "h w"], settings: LightSettings
-) -> Float[np.ndarray, "h w"]:
-    """The amounts within the range that they had before; one of two, where most pixels had nearly one or the other: of
-    lamps that light parts of their own, no pixel at the edge has a mean."""
-    least, most = before.min(), before.max()
-    middle = (least + most) / 2
-    low, high = (np.median(before[side]) for side in (before <= middle, before > middle))
-    near = settings.apart_tolerance * (high - low)
-    if (np.minimum(abs(before - low), abs(before - high)) <= near).mean() < settings.apart_share:
-        return np.clip(amount, least, most)
-    return np.where(amount <= (low + high) / 2, low, high)

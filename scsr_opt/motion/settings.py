@@ -462,6 +462,15 @@ class LightSettings(Settings):
     """Rounds in which these shares are found along a motion, which is then estimated again."""
     edge_px: float = 1.5
     """Standard deviation of the window in which a pixel's share of each lamp is found along the motion."""
+    part_px: float = 1.0
+    """Standard deviation of the window in which the light of a pixel is decided between those of two lamps."""
+    most_evidence: float = 3.0
+    """Difference of log-likelihood of two lamps for a pixel above which it is certain which of them lights it."""
+    part_rounds: int = 2
+    """Rounds in which it is decided."""
+    uncertain_px: int = 2
+    """Sensor pixels on either side of such an edge for which it is decided by a picture that is solved for without
+    them."""
     apart_tolerance: float = 0.15
     """Distance from either of two shares, in units of their difference, within which a pixel counts as lit by one
     lamp."""

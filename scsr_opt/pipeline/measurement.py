@@ -62,6 +62,13 @@ class Measurements(NamedTuple):
         )
         return self._replace(padded=padded, placed=placed)
 
+    def without(self, pixels: Bool[np.ndarray, "h w"]) -> "Measurements":
+        """These measurements without those of some pixels, (h, w)."""
+        padded = self.padded
+        used = on_device((~pixels[padded.row, padded.column]).astype(np.float32))
+        placed = eqx.tree_at(lambda placed: placed.weight, self.placed, self.placed.weight * used)
+        return self._replace(placed=placed)
+
     def used_frames(self, key: int) -> Float[np.ndarray, "h w"]:
         """How far in time each pixel's samples were used, frames before and after the `key` frame of the clip: twice
         their mean distance from it by weight, which is T where all from −T to T count alike. 0 where none was used."""

@@ -24,12 +24,12 @@ from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.task import task_of
-from scsr_opt.pipeline.updates import CentreUpdate, GainUpdate, MotionRefinement, solve_with_updates
+from scsr_opt.pipeline.updates import CentreUpdate, GainUpdate, LightUpdate, MotionRefinement, solve_with_updates
 from scsr_opt.progress import Progress, check_progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Status
 
-UPDATES = (GainUpdate(), MotionRefinement(), CentreUpdate())
+UPDATES = (LightUpdate(), GainUpdate(), MotionRefinement(), CentreUpdate())
 """Updates that are applied between two solves, in this order."""
 
 

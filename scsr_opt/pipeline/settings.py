@@ -185,7 +185,7 @@ class SceneSummarySettings(Settings):
 class SequenceSettings(Settings):
     """What is carried on from one picture of a sequence to the next (`scsr_opt.pipeline.sequence`)."""
 
-    carried_frames: int = 10
+    carried_frames: int = 8
     """Frames over which a motion is carried on, at most. In pictures of a passing car, dark specks along its upper edge
     appear after 20 frames, where the labels of the layers have come loose, and the trees behind it may blur after 30;
     after 10 frames neither. Masked pixels do not show that: after 5 to 100 frames they are predicted as well as by a

@@ -19,7 +19,8 @@ from scsr_opt.camera.white import White, find_white
 from scsr_opt.motion.estimators.automatic import Automatic, corrected_frames, motion_in
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
-from scsr_opt.motion.light import FoundLight, along_motion, find_light, unexplained_share
+from scsr_opt.motion.lamps import along_motion
+from scsr_opt.motion.light import FoundLight, find_light, unexplained_share
 from scsr_opt.motion.trajectory import Motion, Trajectory, trajectory_of
 from scsr_opt.operators.operator import LinearOperator
 from scsr_opt.pipeline.clip import Clip

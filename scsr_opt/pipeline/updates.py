@@ -1,5 +1,5 @@
-"""Updates between two solves: gains of the pixels, the motion, and the picture that the prior is centred at, from the
-picture so far.
+"""Updates between two solves: the light of the pixels, their gains, the motion, and the picture that the prior is
+centred at, from the picture so far.
 
 `solve_with_updates` solves, applies an update, and solves again from there. Two more updates happen within a solve, as
 they need no more than its picture: corrections for the motion during exposures, and weights of a robust loss
@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
+from scipy.ndimage import gaussian_filter
 
 from scsr_opt._kernels.device import on_device
 from scsr_opt.calibration.gain import gain_is_known, spread_of
+from scsr_opt.motion.lamps import parts_by, parts_of
 from scsr_opt.pipeline.assembly import Assembly
 from scsr_opt.pipeline.measurement import Measurements
 from scsr_opt.pipeline.motion_refinement import refine
@@ -24,6 +26,9 @@ from scsr_opt.pipeline.outer_loop import Majorized
 from scsr_opt.pipeline.restoration import Solved, solved
 from scsr_opt.priors.centred import Centred
 from scsr_opt.solvers.record import Stage, Status
+
+# Standard deviation, sensor pixels, of the mean that takes the place of pixels that are left out.
+_NEAR_PX = 2.0
 
 
 class Updated(NamedTuple):
@@ -49,6 +54,43 @@ class Update(abc.ABC):
     @abc.abstractmethod
     def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
         """The problem after update `number`, counted from 0; `found`: the solve before it."""
+
+
+@dataclass(frozen=True)
+class LightUpdate(Update):
+    """The parts of the sensor that different lamps light (`scsr_opt.motion.lamps.parts_by`): first the picture without
+    the pixels near their edges, then, as it predicts what these should have measured, the part of each, with the motion
+    that is estimated in that light."""
+
+    def rounds(self, assembly: Assembly) -> int:
+        light, settings = assembly.task.clip.light, assembly.task.options.settings.motion.light
+        return 0 if light is None or parts_of(light, settings) is None else 2 * settings.part_rounds
+
+    def __call__(self, assembly: Assembly, found: Majorized, number: int) -> Updated:
+        task, measured, settings = assembly.task, assembly.measured, assembly.task.options.settings.motion.light
+        light = task.clip.light
+        assert light is not None  # `rounds`
+        parts = parts_of(light, settings)
+        assert parts is not None
+        if number % 2 == 0:
+            edge = parts.edge(settings.uncertain_px)
+            kept, near = assembly.measurements.without(edge), _without(edge, found.outcome.image, task.scale)
+            return Updated(replace(assembly, measurements=kept, near=near, term=None), True, anew=True)
+        samples, placed = measured.samples, measured.placed
+        predicted, weight = (np.asarray(of)[: samples.row.size] for of in (placed.read(found.blurred), placed.weight))
+        if assembly.gain is not None:
+            predicted = predicted * assembly.gain[samples.row, samples.column]
+        parts = parts_by(light, parts, samples, predicted, weight, settings)
+        light = replace(light, share=parts.share[:, parts.number])
+        task = replace(task, clip=task.clip._replace(light=light))
+        motion, path = assembly.motion, measured.path
+        if task.estimator is not None:
+            motion = task.estimate_motion(task.motion_frames(task.options.known_gain))
+            path = task.trajectory(motion)
+        measured = task.measure(motion, assembly.gain, path)
+        scene = task.summarise(motion, measured, assembly.noise)
+        assembly = replace(assembly, task=task, motion=motion, measured=measured, measurements=measured, scene=scene)
+        return Updated(replace(assembly, near=None, term=None), True)
 
 
 @dataclass(frozen=True)
@@ -210,6 +252,14 @@ def solved_by(assembly: Assembly, found: Majorized) -> Solved:
 
 def _with_spread(assembly: Assembly, spread: float) -> Assembly:
     return replace(assembly, diagnostics=replace(assembly.diagnostics, gain_spread=spread))
+
+
+def _without(pixels: Bool[np.ndarray, "h w"], image: Float[np.ndarray, "H W"], scale: int) -> Float[Array, "H W"]:
+    """The picture with the mean of what is near in the place of some pixels of the sensor: a solve from there keeps
+    nothing of them."""
+    known = 1 - np.kron(pixels, np.ones((scale, scale))).astype(image.dtype)
+    near = [gaussian_filter(of, scale * _NEAR_PX) for of in (image * known, known)]
+    return on_device(np.where(known, image, near[0] / np.maximum(near[1], np.finfo(image.dtype).tiny)))
 
 
 def _some(pixels: Bool[np.ndarray, "h w"], most: int) -> Bool[np.ndarray, "h w"]:

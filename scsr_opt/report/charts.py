@@ -207,21 +207,35 @@ def velocity_map(
     return drawn
 
 
-def convergence(solutions: Any, *, title: str | None = None) -> Figure:
+def convergence(solutions: Any, *, one_problem: bool = False, title: str | None = None) -> Figure:
     """Objective and relative residual of every iteration.
 
-    **Arguments:** `solutions`: a `Solution` or `scsr_opt.solvers.Outcome`, a list of `Stage`, or name → one of these.
+    Objectives with different priors, strengths or recordings are values of different functions, which cannot be
+    compared. Of several methods each is therefore drawn relative to its own lowest objective, so that every curve ends
+    near 1, unless all of them solve one problem.
+
+    **Arguments:**
+    - `solutions`: a `Solution` or `scsr_opt.solvers.Outcome`, a list of `Stage`, or name → one of these.
+    - `one_problem`: true if the objectives of all are those of one problem, with the same samples, prior and strength;
+      they are drawn as they are then.
+
+    **Raises:** `InputError` if there is no stage, or a lowest objective that others are relative to is not above 0.
     """
     curves = _curves(solutions)
+    comparable = one_problem or len(curves) == 1
+    units = {name: 1.0 if comparable else _lowest(name, stages) for name, stages in curves.items()}
     with matplotlib.rc_context(_STYLE):
         drawn, (left, right) = _page((10.0, _TALL), title, columns=2)
         for number, (name, stages) in enumerate(curves.items()):
             iterations = [stage.number for stage in stages]
-            _line(left, iterations, [stage.objective for stage in stages], name, number)
+            _line(left, iterations, [stage.objective / units[name] for stage in stages], name, number)
             _line(right, iterations, [stage.residual for stage in stages], name, number)
         for axes, name in ((left, "Objective f(X) + λΨ(X)"), (right, "Relative residual")):
             axes.set_title(name, loc="left", fontsize=10)
             axes.set_xlabel("iteration")
+        if not comparable:
+            left.set_ylabel("objective / its own lowest value")
+            left.ticklabel_format(axis="y", useOffset=False)
         right.set_yscale("log")
         if len(curves) > 1:
             right.legend(frameon=False, fontsize=8)
@@ -342,6 +356,17 @@ def _curves(solutions: Any) -> dict[str, tuple[Stage, ...]]:
         if not stages or not all(isinstance(stage, Stage) for stage in stages):
             raise InputError(f"{name or 'The solution'} has no stages to draw: give Solutions, or lists of Stage.")
     return curves
+
+
+def _lowest(name: str, stages: Sequence[Stage]) -> float:
+    """The lowest objective of a method. **Raises:** `InputError` if it is not above 0."""
+    found = min((stage.objective for stage in stages if math.isfinite(stage.objective)), default=math.nan)
+    if not found > 0:
+        raise InputError(
+            f"The lowest objective of {name} is {found:g}, but several methods are drawn relative to it: it must be "
+            f"above 0."
+        )
+    return found
 
 
 def _line(axes: Axes, x: Sequence[float | int], y: Sequence[float | int], name: str, number: int) -> None:

@@ -292,7 +292,8 @@ def stage_grid(
     - `solutions`: name → `Solution` or its stages, made with `keep_images=True`.
     - `truth`: (H, W), where it is known; the captions are PSNR then, without 8 sensor pixels of border (without any
       where that is all), otherwise the objective.
-    - `stages`: numbers t of the columns, as far as a method has them; its last stage follows.
+    - `stages`: numbers t of the columns, but those that no method has; the last stage of each method follows. Where a
+      method ended before, a remark takes the place of the picture.
     - `part`: (top, left, height, width) in pixels; where there is most detail if None.
     """
     rows = {name: tuple(given.stages if isinstance(given, Solution) else given) for name, given in solutions.items()}
@@ -301,7 +302,8 @@ def stage_grid(
             raise InputError(f"The stages of {name} have no pictures: solve with keep_images=True.")
     judged = np.asarray(list(rows.values())[0][-1].image if truth is None else truth, np.float32)
     top, left, tall, wide = detailed_part(judged, scale=scale) if part is None else part
-    across = len(stages) + 1 + (truth is not None)
+    numbers = [t for t in stages if any(t < len(found) for found in rows.values())]
+    across = len(numbers) + 1 + (truth is not None)
     white = _white_level([judged])
     border = 8 * scale if min(judged.shape) > 16 * scale else 0
     inner = np.s_[border : judged.shape[0] - border, border : judged.shape[1] - border]
@@ -311,9 +313,11 @@ def stage_grid(
         for axes in np.ravel(grid):
             axes.set_axis_off()
         for row, (name, found) in zip(np.reshape(grid, (len(rows), across)), rows.items(), strict=True):
-            shown = [found[t - 1] if t < len(found) else None for t in stages] + [found[-1]]
+            shown = [found[t - 1] if t < len(found) else None for t in numbers] + [found[-1]]
             for axes, stage in zip(row, shown, strict=False):
                 if stage is None:
+                    axes.text(0.5, 0.5, f"ended at\nt = {found[-1].number} →", color=_FAINT, fontsize=9,
+                              ha="center", va="center", transform=axes.transAxes)  # fmt: skip
                     continue
                 image = np.asarray(stage.image)
                 _picture(axes, image[top : top + tall, left : left + wide], white)

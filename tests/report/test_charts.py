@@ -153,6 +153,9 @@ def test_stage_grid_shows_stages_and_the_last_one():
     drawn_once(drawn)
     titles = [axes.get_title(loc="left").split(":")[0] for axes in drawn.axes]
     assert titles == ["a, t = 1", "a, t = 4", "a, t = 6", "truth", "b, t = 1", "", "b, t = 2", "truth"]
+    assert [text.get_text() for text in drawn.axes[5].texts] == ["ended at\nt = 2 →"]
+    few = stage_grid({"a": stages(6, image), "b": stages(2, image)}, stages=(1, 8))
+    assert len(few.axes) == 4  # none of the methods has a stage 8, and no column
     with pytest.raises(InputError, match="keep_images"):
         stage_grid({"a": stages(3)})
 

@@ -11,7 +11,7 @@ from typing import Any
 
 
 def load_model(model_id: str) -> Any:
-    """The model of an id such as `spikesr-small-x4` (`learned.zoo.load_model`)."""
+    """The model of an id such as `spikesr-small-x4`, to make pictures with (`learned.zoo.load_model`)."""
     from learned.zoo import load_model
 
     return load_model(model_id)

@@ -1,8 +1,9 @@
 """All models by name: from ISTA with total variation to the full SpikeSR-Net.
 
-`model(name, scale)` gives a model; `model(…)(spikes, scale=…)` gives a `Solution`. Its stages are recorded alike: those
-of an optimizer by its solver, those of a network by Eq. 4 at the network's own iterates, with Huber-TV as the prior and
-the data term and strength that `reconstruct` would use with it.
+To make pictures with a model of the package, `load_model(id)` is enough. `model(name, scale)` gives the `Optimizer` or
+`Network` behind it, for comparisons and for networks in files of one's own; `model(…)(spikes, scale=…)` gives a
+`Solution`, too. Its stages are recorded alike: those of an optimizer by its solver, those of a network by Eq. 4 at the
+network's own iterates, with Huber-TV as the prior and the data term and strength that `reconstruct` would use with it.
 
 | name | model |
 |---|---|
@@ -273,7 +274,8 @@ class LoadedModel:
 
 
 def load_model(model_id: str) -> LoadedModel:
-    """The model of an id, a name and a scale: `ridge-x2`, `spikesr-small-x4`.
+    """The model of an id, a name and a scale: `ridge-x2`, `spikesr-small-x4`. It is called with a recording alone; its
+    field `model` is that of `model(name, scale)`.
 
     **Raises:** `InputError` if there is no such model, or no weights for its scale.
     """
@@ -297,7 +299,8 @@ Model = Optimizer | Network
 
 
 def model(name: str, scale: int) -> Model:
-    """The model of this name for a scale; the name may be the path of a `.scsr` file.
+    """The model of this name for a scale; the name may be the path of a `.scsr` file. Those who only want pictures by a
+    model of the package take `load_model`.
 
     **Raises:** `InputError` if there is no such model, no weights for it, or no device for JAX to run on.
     """

@@ -5,9 +5,10 @@ import subprocess
 import sys
 from typing import Any
 
+import numpy as np
 import pytest
 
-from scsr_opt import InputError
+from scsr_opt import InputError, reconstruct
 from scsr_opt.progress import NoProgress, check_progress
 from scsr_opt.report import RichProgress
 
@@ -41,6 +42,36 @@ def test_check_progress_anything_else_is_refused(bad):
 @pytest.mark.parametrize("progress", [None, NoProgress(), RichProgress()])
 def test_check_progress_an_object_or_none_is_fine(progress):
     check_progress(progress)
+
+
+class Notes(NoProgress):
+    """Names of the parts that were begun, and "ended" for each that was finished."""
+
+    def __init__(self) -> None:
+        self.parts: list[str] = []
+
+    def start(self, total: int | None, what: str) -> None:
+        self.parts.append(what)
+
+    def finish(self) -> None:
+        self.parts.append("ended")
+
+
+def test_reconstruct_shows_progress_before_its_first_iteration(monkeypatch):
+    """Motion and strength are found, and most programs compiled, before any iteration; also where that fails."""
+    spikes = np.zeros((24, 6, 8), np.uint8)
+    watched = Notes()
+    reconstruct(spikes, scale=2, progress=watched)  # without a spike there is nothing to solve
+    assert watched.parts == ["finding motion and strength", "ended"]
+
+    def failing(task):
+        assert watched.parts[-1] == "finding motion and strength"
+        raise InputError("no")
+
+    monkeypatch.setattr("scsr_opt.pipeline.reconstruct.assemble_task", failing)
+    with pytest.raises(InputError, match="no"):
+        reconstruct(spikes, scale=2, progress=watched)
+    assert watched.parts[-1] == "ended"
 
 
 # In a process of its own, where types are not checked: each function that takes a progress says what is wrong with it.

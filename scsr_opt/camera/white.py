@@ -96,7 +96,9 @@ def find_white(
     found = white_of(light, least=settings.least_spikes / (frames * white_rate), settings=settings)
     full = 1 / white_rate
     if lost > 1 - settings.quantile and settings.saturating_share * full <= found.level < full and found.level != 1:
-        return White(full, True, f"the light that saturates a pixel, as it does {100 * lost:.2g} % of them")
+        # Without the share that is lost, which is that of the windows: `scsr info` and the report call another share
+        # saturated, that of the recording.
+        return White(full, True, "the most light that a pixel can measure")
     return found
 
 

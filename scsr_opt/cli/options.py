@@ -58,6 +58,11 @@ Quiet = Annotated[
     bool, Parameter(name=["--quiet", "-q"], negative="", show_default=False, help="Print nothing but errors.")
 ]
 
+Rate = Annotated[
+    float | None,
+    Parameter(help="Pictures per second of a film. Default: 25, or fewer, so that the film lasts 2 seconds at least."),
+]
+
 ShownWhite = Annotated[
     float | None,
     Parameter(

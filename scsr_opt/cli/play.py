@@ -9,6 +9,7 @@ from scsr_opt.cli.options import (
     File,
     Overwrite,
     Quiet,
+    Rate,
     Reading,
     ShownWhite,
     Whole,
@@ -30,8 +31,8 @@ Method = Literal["tfp", "tfi", "stp"]
 
 # Playback from intervals looks back to the last spikes of a pixel: enough frames for pixels that fire 5 times in 1000.
 _CONTEXT = 1001
-# Pictures of a film, about, and how many are shown a second, where nothing else is said.
-_PICTURES, _RATE = 100, 25.0
+# Pictures of a film, about, where nothing else is said.
+_PICTURES = 100
 
 
 def play(
@@ -64,7 +65,7 @@ def play(
         Whole | None,
         Parameter(help="Frames from one picture of a film to the next. Default: about 100 pictures in all."),
     ] = None,
-    rate: Annotated[float, Parameter(help="Pictures of a film per second.")] = _RATE,
+    rate: Rate = None,
     bits: Annotated[Whole | None, Parameter(help="Bits per pixel of a picture: 8 or 16; 32 (float) for .tif.")] = None,
     gamma: Annotated[
         float, Parameter(help="Store intensity^(1/gamma): 1 is linear; 2.2 is what viewers expect.")
@@ -79,7 +80,7 @@ def play(
     Films and 8-bit pictures show a value near the brightest light of the recording as white (see --white), and are
     linear unless --gamma is given. Other files hold intensity as it is, 1 = white.
     """
-    from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
+    from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, film_rate, write_film, write_picture
 
     target = Path(f"{_stem(file)}_{method}.png") if output is None else output
     is_film = target.suffix.lower() in FILM_ENDINGS
@@ -90,7 +91,7 @@ def play(
     else:
         absolute = PictureFormat.of(target, bits=bits, gamma=gamma).absolute
         white_of_picture(target, bits, white)
-        if start or stop is not None or step is not None or rate != _RATE:
+        if start or stop is not None or step is not None or rate is not None:
             raise InputError(
                 f"--start, --stop, --step and --rate are for films, but {target} is a picture: give --key for the "
                 f"frame to show, or a name that ends in {' or '.join(FILM_ENDINGS)}."
@@ -107,7 +108,13 @@ def play(
     if is_film:
         keys = moments(recording, start, stop, step, about=_PICTURES)
         level = shown_white(recording, white, keys[0], keys[-1])
-        count = write_film(target, player.film(keys, progress(quiet)), rate=rate, gamma=gamma, white=level.level)
+        count = write_film(
+            target,
+            player.film(keys, progress(quiet)),
+            rate=film_rate(len(keys)) if rate is None else rate,
+            gamma=gamma,
+            white=level.level,
+        )
         made = f"{count} pictures of frames {keys[0]} to {keys[-1]}, every {keys.step}."
     else:
         moment = key_frame(recording, key)

@@ -12,6 +12,7 @@ from scsr_opt.cli.options import (
     Overwrite,
     PathOrUrl,
     Quiet,
+    Rate,
     Reading,
     ShownWhite,
     Whole,
@@ -40,7 +41,6 @@ Gamma = Annotated[
     float | None,
     Parameter(help="Of a film and of .png: store intensity^(1/gamma). Default: 1, linear; 2.2 is what viewers expect."),
 ]
-Rate = Annotated[float | None, Parameter(help="Pictures per second of a film. Default: 25.")]
 
 
 def sequence(
@@ -169,7 +169,7 @@ def sequence(
     if not quiet:
         print("\n".join(_lines(output, done, keys, seconds, solving.motion != "none")))
         if chosen.is_film:
-            print(real_time(recording.readout_rate, keys.step, chosen.rate))
+            print(real_time(recording.readout_rate, keys.step, chosen.film_rate(len(keys))))
     return _failures(done.failed, len(keys))
 
 
@@ -211,7 +211,7 @@ def export(
     if not quiet:
         print(f"{output}: {_counted(len(pictures))} of {store}.")
         if chosen.is_film:
-            print(real_time(source.readout_rate, source.keys.step, chosen.rate))
+            print(real_time(source.readout_rate, source.keys.step, chosen.film_rate(len(source.keys))))
     return _failures(failed, len(pictures))
 
 

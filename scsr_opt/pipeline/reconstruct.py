@@ -25,7 +25,7 @@ from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.task import task_of
 from scsr_opt.pipeline.updates import CentreUpdate, GainUpdate, LightUpdate, MotionRefinement, solve_with_updates
-from scsr_opt.progress import Progress, check_progress
+from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Status
 
@@ -54,7 +54,8 @@ def reconstruct(
       `options`, or of the defaults.
     - `state`: `Solution.state` of a similar problem (other strength, data, or more iterations) with the same solver,
       prior and size, from which the solve starts.
-    - `progress`: receives the number of iterations done.
+    - `progress`: shows what is being done, such as `scsr_opt.report.LineProgress(every=5)`: first motion and strength,
+      then the iterations. The first call for a size compiles programs for 10 to 20 s, in silence without it.
     - `throw`: raise `SolveError` where the solve fails. By default the failure is in `Solution.status`.
 
     The arrays of the caller are copied, or read before the function returns, and never written to. Those of the
@@ -65,8 +66,14 @@ def reconstruct(
     **Raises:** `InputError` if an argument cannot be used.
     """
     check_progress(progress)
-    task = task_of(spikes, scale, key, Options.of(options, changes))
-    solution = solve(assemble_task(task), state, progress).handed_out()
+    options = Options.of(options, changes)
+    meter = NoProgress() if progress is None else progress
+    meter.start(None, "finding motion and strength")
+    try:
+        assembly = assemble_task(task_of(spikes, scale, key, options))
+    finally:
+        meter.finish()
+    solution = solve(assembly, state, progress).handed_out()
     if throw and not solution.status.usable:
         raise SolveError(solution.status.message)
     return solution

@@ -10,7 +10,7 @@ from .charts import (
 from .colours import colour_wheel, full_speed, motion_colours
 from .explore import explore
 from .figures import bicubic, compare, detailed_part, figure, scene_figure
-from .pictures import PictureFormat, check_film, quantise, read_picture, write_film, write_picture
+from .pictures import PictureFormat, check_film, film_rate, quantise, read_picture, write_film, write_picture
 from .progress import LineProgress, RichProgress
 from .summary import Report, versions
 from .wipe import Wipe
@@ -30,6 +30,7 @@ __all__ = [
     "error_map",
     "explore",
     "figure",
+    "film_rate",
     "full_speed",
     "motion_colours",
     "scene_figure",

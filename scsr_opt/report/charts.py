@@ -207,21 +207,35 @@ def velocity_map(
     return drawn
 
 
-def convergence(solutions: Any, *, title: str | None = None) -> Figure:
+def convergence(solutions: Any, *, one_problem: bool = False, title: str | None = None) -> Figure:
     """Objective and relative residual of every iteration.
 
-    **Arguments:** `solutions`: a `Solution` or `scsr_opt.solvers.Outcome`, a list of `Stage`, or name → one of these.
+    Objectives with different priors, strengths or recordings are values of different functions, which cannot be
+    compared. Of several methods each is therefore drawn relative to its own lowest objective, so that every curve ends
+    near 1, unless all of them solve one problem.
+
+    **Arguments:**
+    - `solutions`: a `Solution` or `scsr_opt.solvers.Outcome`, a list of `Stage`, or name → one of these.
+    - `one_problem`: true if the objectives of all are those of one problem, with the same samples, prior and strength;
+      they are drawn as they are then.
+
+    **Raises:** `InputError` if there is no stage, or a lowest objective that others are relative to is not above 0.
     """
     curves = _curves(solutions)
+    comparable = one_problem or len(curves) == 1
+    units = {name: 1.0 if comparable else _lowest(name, stages) for name, stages in curves.items()}
     with matplotlib.rc_context(_STYLE):
         drawn, (left, right) = _page((10.0, _TALL), title, columns=2)
         for number, (name, stages) in enumerate(curves.items()):
             iterations = [stage.number for stage in stages]
-            _line(left, iterations, [stage.objective for stage in stages], name, number)
+            _line(left, iterations, [stage.objective / units[name] for stage in stages], name, number)
             _line(right, iterations, [stage.residual for stage in stages], name, number)
         for axes, name in ((left, "Objective f(X) + λΨ(X)"), (right, "Relative residual")):
             axes.set_title(name, loc="left", fontsize=10)
             axes.set_xlabel("iteration")
+        if not comparable:
+            left.set_ylabel("objective / its own lowest value")
+            left.ticklabel_format(axis="y", useOffset=False)
         right.set_yscale("log")
         if len(curves) > 1:
             right.legend(frameon=False, fontsize=8)
@@ -278,7 +292,8 @@ def stage_grid(
     - `solutions`: name → `Solution` or its stages, made with `keep_images=True`.
     - `truth`: (H, W), where it is known; the captions are PSNR then, without 8 sensor pixels of border (without any
       where that is all), otherwise the objective.
-    - `stages`: numbers t of the columns, as far as a method has them; its last stage follows.
+    - `stages`: numbers t of the columns, but those that no method has; the last stage of each method follows. Where a
+      method ended before, a remark takes the place of the picture.
     - `part`: (top, left, height, width) in pixels; where there is most detail if None.
     """
     rows = {name: tuple(given.stages if isinstance(given, Solution) else given) for name, given in solutions.items()}
@@ -287,7 +302,8 @@ def stage_grid(
             raise InputError(f"The stages of {name} have no pictures: solve with keep_images=True.")
     judged = np.asarray(list(rows.values())[0][-1].image if truth is None else truth, np.float32)
     top, left, tall, wide = detailed_part(judged, scale=scale) if part is None else part
-    across = len(stages) + 1 + (truth is not None)
+    numbers = [t for t in stages if any(t < len(found) for found in rows.values())]
+    across = len(numbers) + 1 + (truth is not None)
     white = _white_level([judged])
     border = 8 * scale if min(judged.shape) > 16 * scale else 0
     inner = np.s_[border : judged.shape[0] - border, border : judged.shape[1] - border]
@@ -297,9 +313,11 @@ def stage_grid(
         for axes in np.ravel(grid):
             axes.set_axis_off()
         for row, (name, found) in zip(np.reshape(grid, (len(rows), across)), rows.items(), strict=True):
-            shown = [found[t - 1] if t < len(found) else None for t in stages] + [found[-1]]
+            shown = [found[t - 1] if t < len(found) else None for t in numbers] + [found[-1]]
             for axes, stage in zip(row, shown, strict=False):
                 if stage is None:
+                    axes.text(0.5, 0.5, f"ended at\nt = {found[-1].number} →", color=_FAINT, fontsize=9,
+                              ha="center", va="center", transform=axes.transAxes)  # fmt: skip
                     continue
                 image = np.asarray(stage.image)
                 _picture(axes, image[top : top + tall, left : left + wide], white)
@@ -342,6 +360,17 @@ def _curves(solutions: Any) -> dict[str, tuple[Stage, ...]]:
         if not stages or not all(isinstance(stage, Stage) for stage in stages):
             raise InputError(f"{name or 'The solution'} has no stages to draw: give Solutions, or lists of Stage.")
     return curves
+
+
+def _lowest(name: str, stages: Sequence[Stage]) -> float:
+    """The lowest objective of a method. **Raises:** `InputError` if it is not above 0."""
+    found = min((stage.objective for stage in stages if math.isfinite(stage.objective)), default=math.nan)
+    if not found > 0:
+        raise InputError(
+            f"The lowest objective of {name} is {found:g}, but several methods are drawn relative to it: it must be "
+            f"above 0."
+        )
+    return found
 
 
 def _line(axes: Axes, x: Sequence[float | int], y: Sequence[float | int], name: str, number: int) -> None:

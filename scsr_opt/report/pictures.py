@@ -14,7 +14,7 @@ import warnings
 import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,9 @@ FILM_ENDINGS = (".gif", ".mp4")
 _GAMMAS = (0.1, 10)
 # Pictures per second; a GIF shows one for 655 seconds at most.
 _RATES = (0.01, 1000)
+# Pictures per second of a film, at most, and seconds that it lasts, at least, where no rate is given: 25 pictures a
+# second look smooth, and the eye needs a moment for a film of a few.
+_USUAL_RATE, _LEAST_SECONDS = 25.0, 2.0
 # Pixels along a side of a GIF: it has two bytes for them.
 _GIF_SIDE = 65535
 
@@ -205,14 +208,22 @@ def read_picture(path: str | os.PathLike[str]) -> Float[np.ndarray, "H W"]:
     return as_intensity(pixels, str(path)).astype(np.float32)
 
 
-def check_film(path: str | os.PathLike[str], *, rate: float = 25.0, gamma: float = 1.0, white: float = 1.0) -> None:
+def film_rate(count: int) -> float:
+    """Pictures per second of a film of `count` pictures for which no rate is given: 25, and fewer below 50 pictures, so
+    that the film lasts 2 seconds."""
+    return min(_USUAL_RATE, count / _LEAST_SECONDS)
+
+
+def check_film(
+    path: str | os.PathLike[str], *, rate: float | None = None, gamma: float = 1.0, white: float = 1.0
+) -> None:
     """Finds out before the frames are made whether `path` can be written as a film.
 
     **Raises:** `InputError` if the ending is not known, or it is `.mp4` and there is no encoder; if the rate is not
     from 0.01 to 1000 pictures per second, gamma not from 0.1 to 10, or white no intensity.
     """
     least, most = _RATES
-    if not least <= finite(rate) <= most:
+    if rate is not None and not least <= finite(rate) <= most:
         raise InputError(f"rate is {shown(rate)}, but it must be from {least:g} to {most:g} pictures per second.")
     _check_gamma(gamma)
     White.given(white)
@@ -230,7 +241,7 @@ def write_film(
     path: str | os.PathLike[str],
     frames: Iterable[ArrayLike],
     *,
-    rate: float = 25.0,
+    rate: float | None = None,
     gamma: float = 1.0,
     white: float = 1.0,
 ) -> int:
@@ -243,7 +254,8 @@ def write_film(
     - `path`: ends in `.gif` or `.mp4`. MP4 needs the program `ffmpeg`, of the machine or of the package
       imageio-ffmpeg, and even sides: an odd one gets a black row or column more, which a warning says.
     - `frames`: pictures (H, W), linear intensity, all of one size.
-    - `rate`: pictures per second. A GIF counts in hundredths of a second, so it comes out at the nearest such rate.
+    - `rate`: pictures per second; that of `film_rate` if None, for which up to 50 pictures are held in memory. A GIF
+      counts in hundredths of a second, so it comes out at the nearest such rate, and is repeated without end.
     - `gamma`: as in `PictureFormat`. `white`: intensity of the largest grey level in all of its pictures.
 
     **Returns:** the number of pictures.
@@ -260,6 +272,9 @@ def write_film(
         if first is None:
             raise InputError("A film needs at least one picture, but there is none.")
         everything = chain([first], pictures)
+        if rate is None:
+            begin = list(islice(everything, round(_USUAL_RATE * _LEAST_SECONDS)))  # a longer film has the usual rate
+            rate, everything = film_rate(len(begin)), chain(begin, everything)
         if temporary.suffix.lower() == ".gif":
             _write_gif(temporary, everything, rate)
         else:

@@ -29,7 +29,7 @@ class LineProgress:
     takes less than `every` seconds shows nothing.
     """
 
-    def __init__(self, *, every: float = 30.0, file: IO[str] | None = None):
+    def __init__(self, *, every: float | int = 30.0, file: IO[str] | None = None):
         self._every, self._file = every, file
         self._began: float | None = None
         self._part_began = 0.0
@@ -79,7 +79,7 @@ class RichProgress:
     `advance` waiting. It is removed when its part is over: what is left on the screen is the command's own output.
     """
 
-    def __init__(self, *, delay: float = 1.0, file: IO[str] | None = None):
+    def __init__(self, *, delay: float | int = 1.0, file: IO[str] | None = None):
         self._delay = delay
         self._file = file
         self._lock = threading.Lock()

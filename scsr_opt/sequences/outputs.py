@@ -20,7 +20,7 @@ from scsr_opt._files import as_path, check_writable, read_meanwhile, refuse_url,
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, write_film, write_picture
+from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, film_rate, write_film, write_picture
 from scsr_opt.sequences.files import writing
 from scsr_opt.sequences.layout import is_store
 from scsr_opt.sequences.store import Picture, SequenceStore
@@ -54,14 +54,14 @@ class SequenceFormat:
     **Fields:**
     - `bits`: of the pictures of a folder: 8 or 16 for PNG, 32 for floating-point TIFF.
     - `gamma`: of a film, and of PNG: intensity^(1/gamma) is stored.
-    - `rate`: pictures per second of a film.
+    - `rate`: pictures per second of a film; that of `report.film_rate` if None.
     - `white`: intensity of the largest grey level of a film or an 8-bit PNG; that of the store if None.
     """
 
     path: Path
     bits: int = 8
     gamma: float = 1.0
-    rate: float = 25.0
+    rate: float | None = None
     white: float | None = None
 
     @classmethod
@@ -95,7 +95,7 @@ class SequenceFormat:
             as_path(path),
             8 if bits is None else bits,
             1.0 if gamma is None else gamma,
-            25.0 if rate is None else rate,
+            rate,
             None if white is None else White.given(white).level,
         )
         if ending in FILM_ENDINGS:
@@ -113,6 +113,10 @@ class SequenceFormat:
     def is_film(self) -> bool:
         """True for a film."""
         return self.ending in FILM_ENDINGS
+
+    def film_rate(self, count: int) -> float:
+        """Pictures per second of a film of `count` pictures."""
+        return film_rate(count) if self.rate is None else self.rate
 
     @property
     def ending(self) -> str:
@@ -222,7 +226,8 @@ def _images(store: SequenceStore, meter: Progress) -> Iterator[Float[np.ndarray,
 def _write_film(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
     white = store.white.level if chosen.white is None else chosen.white
     shown = (np.nan_to_num(image, nan=0.0) for image in _images(store, meter))
-    count = write_film(chosen.path, shown, rate=chosen.rate, gamma=chosen.gamma, white=white)
+    rate = chosen.film_rate(len(pictures))
+    count = write_film(chosen.path, shown, rate=rate, gamma=chosen.gamma, white=white)
     assert count == len(pictures)
 
 

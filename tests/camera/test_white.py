@@ -58,7 +58,8 @@ def test_white_passes_over_bad_saturated_and_silent_pixels():
 def test_white_of_much_saturated_light_is_what_saturates():
     light = 1.6 * RAMP
     light[:, :10] = 3.0
-    assert found(light).level == pytest.approx(1 / RATE)
+    white = found(light)
+    assert white.level == pytest.approx(1 / RATE) and white.reason == "the most light that a pixel can measure"
 
 
 @pytest.mark.parametrize("light", [0.0, 5.0])

@@ -37,6 +37,17 @@ def test_info_says_how_much_is_saturated(scsr, spikes):
     assert json.loads(scsr("info", "light.npz", "--json"))["saturated"] == 0.25
 
 
+def test_info_says_one_share_of_saturated_pixels(scsr, spikes):
+    """White is found in windows of the recording, where more pixels are saturated than in all of it: only the share of
+    all of it is given."""
+    spikes[:] = np.arange(WIDTH) * 31 // WIDTH >= np.arange(len(spikes))[:, None, None]  # from dark to every frame
+    spikes[:, :, 36:] = 1
+    spikes[:6, :, 34:36] = 0
+    said = scsr("info", write(spikes))
+    assert "(the most light that a pixel can measure)" in said
+    assert said.count(" % of the pixels fired") == said.count("saturat") == 1
+
+
 def write(spikes: np.ndarray) -> str:
     write_recording("light.npz", Recording.from_array(spikes))
     return "light.npz"

@@ -42,6 +42,7 @@ def test_play_a_film(scsr, file):
     with Image.open("a.gif") as film:
         assert film.size == (WIDTH, HEIGHT)
         assert film.n_frames == 3  # pyright: ignore[reportAttributeAccessIssue]
+        assert film.info["duration"] == 670  # hundredths of a second: 2 s in all
 
 
 @pytest.mark.parametrize(

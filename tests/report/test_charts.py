@@ -118,6 +118,26 @@ def test_convergence_has_a_line_for_each_method(solution):
         convergence({"nothing": []})
 
 
+def test_convergence_draws_objectives_relative_to_their_own_lowest():
+    """An objective with another prior may be ten times as large; the curves lie on each other all the same."""
+    tenfold = [dataclasses.replace(stage, objective=10 * stage.objective) for stage in stages(5)]
+    given = {"weak": stages(5), "strong": tenfold}
+    objective = convergence(given).axes[0]
+    assert line(objective, 0)[1] == pytest.approx(line(objective, 1)[1]) and line(objective, 0)[1][-1] == 1
+    assert objective.get_ylabel() == "objective / its own lowest value"
+    nothing = [dataclasses.replace(stage, objective=0.0) for stage in stages(2)]
+    with pytest.raises(InputError, match="lowest objective of zero is 0"):
+        convergence({"zero": nothing, **given})
+    drawn_once(convergence(nothing))
+
+
+def test_convergence_of_one_problem_draws_objectives_as_they_are():
+    for given in ({"a": stages(5), "b": stages(9)}, {"a": stages(5)}):
+        objective = convergence(given, one_problem=len(given) > 1).axes[0]
+        assert list(line(objective, 0)[1]) == [stage.objective for stage in stages(5)]
+        assert objective.get_ylabel() == ""
+
+
 def test_time_against_error_is_the_gap_to_the_least():
     drawn = time_against_error({"one": stages(4)}, least=1.0)
     drawn_once(drawn)
@@ -133,6 +153,9 @@ def test_stage_grid_shows_stages_and_the_last_one():
     drawn_once(drawn)
     titles = [axes.get_title(loc="left").split(":")[0] for axes in drawn.axes]
     assert titles == ["a, t = 1", "a, t = 4", "a, t = 6", "truth", "b, t = 1", "", "b, t = 2", "truth"]
+    assert [text.get_text() for text in drawn.axes[5].texts] == ["ended at\nt = 2 →"]
+    few = stage_grid({"a": stages(6, image), "b": stages(2, image)}, stages=(1, 8))
+    assert len(few.axes) == 4  # none of the methods has a stage 8, and no column
     with pytest.raises(InputError, match="keep_images"):
         stage_grid({"a": stages(3)})
 

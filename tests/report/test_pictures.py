@@ -130,6 +130,19 @@ def test_gif(tmp_path):
     assert levels == [0, 128, 255]
 
 
+@pytest.mark.parametrize(("count", "milliseconds"), [(1, 2000), (4, 500), (25, 80), (50, 40), (60, 40)])
+def test_write_film_without_a_rate_lasts_two_seconds_at_least(tmp_path, encoder, count, milliseconds):
+    """Also from an iterator, whose length is not known before its end."""
+    frames = [np.full((2, 4), (number + 1) / count) for number in range(count)]
+    assert write_film(tmp_path / "a.gif", iter(frames)) == count
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == count  # pyright: ignore[reportAttributeAccessIssue]
+        assert film.info["duration"] == milliseconds and film.info["loop"] == 0
+    assert write_film(tmp_path / "a.mp4", iter(frames)) == count
+    options, data = (tmp_path / "a.mp4").read_bytes().split(b"|", 1)
+    assert f"-framerate {1000 / milliseconds:g} ".encode() in options and len(data) == 8 * count
+
+
 def test_a_film_needs_a_picture_and_a_known_ending(tmp_path):
     with pytest.raises(InputError, match="at least one picture"):
         write_film(tmp_path / "a.gif", [])
@@ -321,5 +334,5 @@ def test_a_film_is_written_picture_by_picture(tmp_path):
             yield np.random.default_rng(0).random((100, 100))
             sizes.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
 
-    assert write_film(tmp_path / "a.gif", frames()) == 20
+    assert write_film(tmp_path / "a.gif", frames(), rate=25.0) == 20
     assert all(later > sooner for sooner, later in zip(sizes, sizes[1:], strict=False))

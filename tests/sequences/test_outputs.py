@@ -64,8 +64,12 @@ def test_export_folder_has_constant_brightness(tmp_path, store, bits, ending):
 
 
 def test_export_gif_has_a_picture_for_each(tmp_path, store):
+    export(store, SequenceFormat.of(tmp_path / "a.gif"))
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.info["duration"] == 200  # ten pictures in 2 s
     export(store, SequenceFormat.of(tmp_path / "b.gif", rate=10.0))
     with Image.open(tmp_path / "b.gif") as film:
+        assert film.info["duration"] == 100
         assert film.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
         film.seek(9)
         assert np.asarray(film.convert("L")).mean() == pytest.approx(255 / 0.8 * store.picture(9).mean(), abs=1)

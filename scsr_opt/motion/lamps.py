@@ -126,8 +126,9 @@ def parts_by(
     shape, size = parts.number.shape, parts.number.size
     pixel = samples.row * np.int32(shape[1]) + samples.column
     each = [Light(light.time, course[None], np.ones((1, 1, 1))) for course in light.course]
-    duration = np.maximum(samples.stop - samples.start, np.float32(1e-3))
-    over = np.stack([(one.gathered(samples.stop) - one.gathered(samples.start)) / duration for one in each])
+    start, stop = np.asarray(samples.start), np.asarray(samples.stop)
+    duration = np.maximum(stop - start, np.float32(1e-3))
+    over = np.stack([(one.gathered(stop) - one.gathered(start)) / duration for one in each])
     measured = samples.value * np.einsum("kn,kn->n", parts.share[:, parts.number.reshape(-1)[pixel]], over)
 
     def missed(share: Float[np.ndarray, " k"]) -> Float[np.ndarray, " hw"]:

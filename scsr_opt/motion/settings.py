@@ -462,7 +462,7 @@ class LightSettings(Settings):
     """Rounds in which these shares are found along a motion, which is then estimated again."""
     edge_px: float = 1.5
     """Standard deviation of the window in which a pixel's share of each lamp is found along the motion."""
-    part_px: float = 1.0
+    part_px: float = 1.5
     """Standard deviation of the window in which the light of a pixel is decided between those of two lamps."""
     most_evidence: float = 3.0
     """Difference of log-likelihood of two lamps for a pixel above which it is certain which of them lights it."""

@@ -25,6 +25,8 @@ _GROUPS_AHEAD = 2
 # Workers that may be lost while they solve one and the same group before it is given up: more than chance takes, few
 # enough for a group that ends each worker, by its need of memory, not to go on for ever.
 _LOST_WORKERS = 10
+# Times that workers are started on this machine, if one of them is lost while it starts.
+_STARTS = 3
 # Seconds to wait for a scheduler, and for its first worker.
 _PATIENCE = 30
 
@@ -71,7 +73,7 @@ def solve_by_workers(
     import distributed
 
     sizes = plan.groups
-    with _client(workers) as client:
+    with _while_the_scheduler_is_there(), _client(workers) as client:
         if workers.started is not None:
             workers.started(client.dashboard_link)
         waiting = iter(groups)
@@ -101,7 +103,6 @@ def _solve_group(place: str, plan: Plan, number: int) -> int:
 
 
 def _result(done: "distributed.Future") -> int:
-    from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
     try:
@@ -111,7 +112,17 @@ def _result(done: "distributed.Future") -> int:
             f"{_LOST_WORKERS} workers ended while they solved for the same pictures, most likely for want of memory: "
             f"take fewer workers, a smaller scale or a crop; the pictures that are there stay."
         ) from error
-    except FutureCancelledError as error:
+
+
+@contextmanager
+def _while_the_scheduler_is_there() -> Iterator[None]:
+    """**Raises:** `InputError` if the connection to the scheduler is lost, while it is waited for or asked."""
+    from distributed.comm import CommClosedError
+    from distributed.client import FutureCancelledError
+
+    try:
+        yield
+    except (FutureCancelledError, CommClosedError) as error:
         raise InputError("The scheduler was lost: give the command again once it is there.") from error
 
 
@@ -134,19 +145,7 @@ def _client(workers: Workers) -> Iterator[Any]:
         )
         address: Any = workers.scheduler
         if workers.number is not None:
-            threads = str(max(1, cores() // workers.number))
-            address = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=workers.number,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address=":0",
-                    silence_logs=logging.CRITICAL,
-                    memory_limit=0,
-                    # Threads of XLA (and `in_threads`) and of NumPy's libraries: together as many as there are cores.
-                    env={"NPROC": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
-                )
-            )
+            address = stack.enter_context(_cluster(workers.number))
         try:
             client = stack.enter_context(distributed.Client(address, timeout=_PATIENCE, set_as_default=False))
             client.wait_for_workers(1, timeout=_PATIENCE)
@@ -156,3 +155,31 @@ def _client(workers: Workers) -> Iterator[Any]:
                 f"check the address, such as tcp://10.0.0.1:8786, and that dask worker runs."
             ) from error
         yield client
+
+
+def _cluster(number: int) -> Any:
+    """So many workers on this machine, started again where one of them is lost meanwhile.
+
+    **Raises:** `InputError` if that happens `_STARTS` times.
+    """
+    import distributed
+
+    threads, lost = str(max(1, cores() // number)), None
+    for _ in range(_STARTS):
+        try:
+            return distributed.LocalCluster(
+                n_workers=number,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=":0",
+                silence_logs=logging.CRITICAL,
+                memory_limit=0,
+                # Threads of XLA (and `in_threads`) and of NumPy's libraries: together as many as there are cores.
+                env={"NPROC": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            )
+        except RuntimeError as error:
+            lost = error
+    raise InputError(
+        f"{number} workers were started {_STARTS} times, and each time one of them ended at once, most likely for want "
+        f"of memory: take fewer workers."
+    ) from lost

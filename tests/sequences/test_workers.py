@@ -9,6 +9,7 @@ import pytest
 from benchmarks.killing import Cluster, simulated
 from scsr_opt import InputError
 from scsr_opt.sequences import SequenceStore, Workers, write_sequence
+from scsr_opt.sequences.cluster import _cluster
 
 distributed = pytest.importorskip("distributed")
 LoopRunner, sync = distributed.utils.LoopRunner, distributed.utils.sync
@@ -101,6 +102,45 @@ def test_a_scheduler_that_is_killed_is_said_and_the_same_command_goes_on(tmp_pat
         with worker_of(cluster.address):
             assert write_sequence(plan, tmp_path / "a.zarr", workers=workers).there in (4, 8, 10)  # whole groups
     assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
+
+
+def test_a_connection_that_is_lost_while_results_come_is_said(tmp_path, plan, stand_in, cluster, monkeypatch):
+    """As when the scheduler is killed between a group's end and the answer."""
+
+    def lost(*given):
+        raise distributed.comm.CommClosedError("Connection reset by peer")
+
+    monkeypatch.setattr("scsr_opt.sequences.cluster._result", lost)
+    with pytest.raises(InputError, match="The scheduler was lost: give the command again"):
+        write_sequence(plan, tmp_path / "a.zarr", workers=Workers(scheduler=cluster.scheduler_address))
+
+
+def failing(times):
+    """In the place of LocalCluster: as many starts in which a worker is lost, then one in this process."""
+    calls = []
+
+    def started(**given):
+        calls.append(given)
+        if len(calls) <= times:
+            raise RuntimeError("Nanny failed to start.")
+        return real(n_workers=0, processes=False, protocol="tcp", dashboard_address=":0")
+
+    real = distributed.LocalCluster
+    return started
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_workers_that_are_lost_while_they_start_are_started_again(monkeypatch, times):
+    monkeypatch.setattr(distributed, "LocalCluster", failing(times))
+    with _cluster(2) as cluster:
+        assert cluster.scheduler_address.startswith("tcp://")
+
+
+def test_workers_that_never_start_are_said(tmp_path, plan, stand_in, monkeypatch):
+    monkeypatch.setattr(distributed, "LocalCluster", failing(100))
+    with pytest.raises(InputError, match="2 workers were started 3 times, and each time one of them ended at once"):
+        write_sequence(plan, tmp_path / "a.zarr", workers=Workers(number=2))
+    assert stand_in.solved == []
 
 
 @pytest.mark.parametrize("given", [{}, {"number": 2, "scheduler": "tcp://a:1"}, {"number": 0}, {"number": -1}])

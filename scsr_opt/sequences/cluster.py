@@ -117,8 +117,8 @@ def _result(done: "distributed.Future") -> int:
 @contextmanager
 def _while_the_scheduler_is_there() -> Iterator[None]:
     """**Raises:** `InputError` if the connection to the scheduler is lost, while it is waited for or asked."""
-    from distributed.comm import CommClosedError
     from distributed.client import FutureCancelledError
+    from distributed.comm.core import CommClosedError
 
     try:
         yield

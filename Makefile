@@ -84,6 +84,7 @@ $(DOCS_VENV)/.installed: pyproject.toml constraints.txt
 picture: $(RUN_STAMP)
 	$(PY) scripts/first_picture.py docs/first_picture.png
 	$(PY) scripts/failure_picture.py docs/failure.png
+	$(PY) scripts/light_picture.py docs/light.png
 
 peers: $(RUN_STAMP)
 	$(PY) -m benchmarks.peers

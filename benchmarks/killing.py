@@ -186,7 +186,7 @@ def kill_often(
     """Kills runs of `scsr sequence` with these options `number` times, in `folder`; with `workers` these as well, and
     with `cluster` their scheduler, too. Between kills there are at most `longest` seconds; where it is 0, what a second
     undisturbed run takes in all, or from its first picture on."""
-    kills, whole, store = Kills(), folder / "undisturbed.zarr", folder / "killed.zarr"
+    kills, whole = Kills(), folder / "undisturbed.zarr"
     most = longest, longest
     with Cluster(workers) if cluster and workers is not None else nullcontext() as beside:
         many = [] if workers is None else ["--workers", str(workers)]
@@ -206,7 +206,8 @@ def kill_often(
             return kills
         expected = content(whole)
         while kills.total < number:
-            shutil.rmtree(store, ignore_errors=True)
+            # A name that none had before: workers of a scheduler that has lost its run may still write to the last one.
+            store = folder / f"killed{kills.stores}.zarr"
             while _disturbed(started(store, [*options, *many]), store, most, number, beside, kills, chance) != 0:
                 if kills.faults:
                     return kills

@@ -20,6 +20,7 @@ from typing import Any, Union, get_args, get_origin
 
 from cyclopts import App, Parameter, Token, convert
 
+from scsr_opt._kernels.memory import use_few_arenas
 from scsr_opt.cli.baseline import baseline
 from scsr_opt.cli.batch import batch
 from scsr_opt.cli.cache import cache, warm
@@ -99,6 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:  # a process of its own
         # Tracing programs makes many objects, and next to none of them is garbage: 0.4 of 5.8 s of a solve.
         gc.set_threshold(50_000, 20, 50)
+        use_few_arenas()
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold bytes that are no text
         signal.signal(signal.SIGTERM, _terminate)

@@ -53,6 +53,8 @@ def along_motion(light: Light, pictures: MotionFrames, motion: Motion, key: int,
     mean = (later + earlier) / 2
     weight = mean / (mean.mean(0) + limits.dark_rate)
     steps = summed(weight * (later - earlier)) / (summed(weight * mean) + np.float32(1e-6))
+    # Where the scene changes at once, as at a cut, steps add up to more than numbers can hold.
+    steps = np.clip(steps, -limits.most_step, limits.most_step)
     # Edges of the light rest while the scene passes them, and seem to be steps: not over the light that is known.
     seen = light.at(time) * np.exp(np.pad(np.cumsum(steps, axis=0), ((1, 0), (0, 0), (0, 0))))
     common, *courses = (np.interp(time, light.time, course) for course in light.course)
@@ -65,7 +67,7 @@ def along_motion(light: Light, pictures: MotionFrames, motion: Motion, key: int,
     amounts = np.stack([_apart(*each, limits) for each in zip(amounts, before, strict=True)])
     known = np.stack([np.ones(level.size), *before.reshape(len(before), -1)])
     numbers = np.linalg.lstsq(known.T, level.reshape(-1), rcond=None)[0]
-    level = numbers[0] + np.einsum("r,ryx->yx", numbers[1:], amounts)
+    level = np.clip(numbers[0] + np.einsum("r,ryx->yx", numbers[1:], amounts), level.min(), level.max())
     return dataclasses.replace(light, share=np.concatenate([level[None], level * amounts]))
 
 
@@ -76,6 +78,8 @@ def _apart(
     lamps that light parts of their own, no pixel at the edge has a mean."""
     least, most = before.min(), before.max()
     middle = (least + most) / 2
+    if not middle < most:  # all pixels have as much of it
+        return np.full_like(amount, least)
     low, high = (np.median(before[side]) for side in (before <= middle, before > middle))
     near = settings.apart_tolerance * (high - low)
     if (np.minimum(abs(before - low), abs(before - high)) <= near).mean() < settings.apart_share:

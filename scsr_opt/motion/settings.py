@@ -460,6 +460,9 @@ class LightSettings(Settings):
     lamp."""
     lamp_rounds: int = 2
     """Rounds in which these shares are found along a motion, which is then estimated again."""
+    most_step: float = 0.5
+    """Relative change of the light from one short picture to the next, at most, along the motion. That of a lamp of 100
+    Hz that swings by half is 0.036 at most."""
     edge_px: float = 1.5
     """Standard deviation of the window in which a pixel's share of each lamp is found along the motion."""
     part_px: float = 1.5

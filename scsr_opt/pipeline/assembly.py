@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from scsr_opt._kernels.device import on_device
-from scsr_opt._kernels.programs import give_memory_back
+from scsr_opt._kernels.memory import give_memory_back
 from scsr_opt.calibration.gain import gain_is_known, spread_of
 from scsr_opt.calibration.optics import estimate_gaussian_optics
 from scsr_opt.errors import InputError

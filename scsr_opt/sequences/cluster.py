@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scsr_opt._kernels.memory import ARENAS
 from scsr_opt._threads import cores
 from scsr_opt._validation import whole
 from scsr_opt.errors import InputError
@@ -175,7 +176,8 @@ def _cluster(number: int) -> Any:
                 silence_logs=logging.CRITICAL,
                 memory_limit=0,
                 # Threads of XLA (and `in_threads`) and of NumPy's libraries: together as many as there are cores.
-                env={"NPROC": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+                env={"NPROC": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
+                | {"MALLOC_ARENA_MAX": str(ARENAS)},
             )
         except RuntimeError as error:
             lost = error

@@ -20,7 +20,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, SupportsFloat, SupportsIndex, runtime_checkable
 
 from scsr_opt._files import as_path, check_writable
-from scsr_opt._kernels.programs import give_memory_back
+from scsr_opt._kernels.memory import give_memory_back
 from scsr_opt._validation import whole
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.stream import FrameStream

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from scsr_opt._kernels.programs import give_memory_back, ready
+from scsr_opt._kernels.memory import give_memory_back
+from scsr_opt._kernels.programs import ready
 from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError

@@ -7,7 +7,10 @@ import pytest
 
 from scsr_opt.camera import spike_intervals
 from scsr_opt.camera.light import Light
-from scsr_opt.motion.lamps import parts_by, parts_of
+from scsr_opt.motion import Motion
+from scsr_opt.motion.estimators.automatic import corrected_frames
+from scsr_opt.motion.lamps import along_motion, parts_by, parts_of
+from scsr_opt.motion.settings import DEFAULTS
 
 SHAPE, FRAMES = (20, 24), 101
 TIMES = np.arange(-5.0, FRAMES + 5)
@@ -64,3 +67,21 @@ def test_parts_by_picture_moves_the_edge_to_where_it_is(key):
     kept = parts_by(light, parts, none, seen[samples.row, samples.column], weight).number
     far = ~parts.edge(2)
     np.testing.assert_array_equal(kept[far], parts.number[far])
+
+
+def test_along_motion_of_a_cut_stays_a_light():
+    """From one frame to the next the scene is another one, most of it forty times as bright: no light does that."""
+    dark, bright = (
+        np.random.default_rng(2).random((2, FRAMES // 2, 48, 64)) < np.array([0.01, 0.4])[:, None, None, None]
+    )
+    bright[:, :, 40:] = dark[:, :, 40:]
+    spikes = np.concatenate([dark, bright]).astype(np.uint8)
+    number = np.repeat([0, 1], 32)[None].repeat(48, 0)
+    level = np.linspace(0.04, 1.8, 64)[None].repeat(48, 0)
+    light = Light(TIMES, COURSES, np.stack([level, SHARES[1][number]]))
+    for _ in range(3):
+        frames = corrected_frames(spikes, key=50, white_rate=0.6, bad_pixels=None, gain=None, light=light)
+        assert frames is not None
+        light = along_motion(light, frames, Motion.none(48, 64), 50, DEFAULTS)
+        assert np.isfinite(light.share).all()
+        assert light.share[0].min() >= 0.04 - 1e-9 and light.share[0].max() <= 1.8 + 1e-9

@@ -1,4 +1,4 @@
-"""Which lamps light which pixels, where the light of a scene comes from several.
+"""Shares of the light of several lamps that each pixel of a sensor gets.
 
 `scsr_opt.motion.light` finds the course of each lamp and how much of it every tile of the sensor gets. With the motion
 known, each pixel's share is found (`along_motion`); where each lamp lights a part of the sensor of its own, the parts'

@@ -29,7 +29,7 @@ GOOD = [
 @pytest.mark.usefixtures("quickly")
 @pytest.mark.parametrize("name", GOOD)
 def test_odd_names_work(capsys, name):
-    """Of the recording, of the store and of what is made from it, in a folder of that name."""
+    """The name is that of the recording, of the store, of the files that are made from it, and of their folder."""
     folder = f"./{name}"
     os.mkdir(folder)
     shutil.copy("ramp.npz", f"{folder}/{name}.npz")

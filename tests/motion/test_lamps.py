@@ -45,8 +45,8 @@ def test_parts_of_two_lamps_gives_their_parts_and_edge():
 
 @pytest.mark.parametrize("key", [False, True])
 def test_parts_by_picture_moves_the_edge_to_where_it_is(key):
-    """Of a curved edge that was taken for a straight one, from what the true scene predicts; also of light that is
-    relative to that of a frame."""
+    """The edge is curved and was taken for a straight one; the samples are predicted by the true scene. With `key` the
+    light is relative to that of a frame."""
     rows, columns = np.indices(SHAPE)
     truth = (columns >= 12 + np.rint(1.4 * np.sin(rows / 3))).astype(int)
     assumed = (columns >= 12).astype(int)

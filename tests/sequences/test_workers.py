@@ -105,7 +105,7 @@ def test_a_scheduler_that_is_killed_is_said_and_the_same_command_goes_on(tmp_pat
 
 
 def test_a_connection_that_is_lost_while_results_come_is_said(tmp_path, plan, stand_in, cluster, monkeypatch):
-    """As when the scheduler is killed between a group's end and the answer."""
+    """A scheduler that is killed between the end of a group and its answer closes the connection."""
 
     def lost(*given):
         raise distributed.comm.CommClosedError("Connection reset by peer")

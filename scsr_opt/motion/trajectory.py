@@ -45,8 +45,8 @@ _LAYERS = 4
 
 
 class _Copied(eqx.Module):
-    """A module that is copied and unpickled by a call of its class. Otherwise equinox (0.13.8) would take the copy for a
-    module that is still being made, and hold it for as long as the process lives."""
+    """A module that is copied and unpickled by a call of its class. Otherwise equinox (0.13.8) would take the copy for
+    a module that is still being made, and hold it for as long as the process lives."""
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
         return type(self), tuple(getattr(self, field.name) for field in fields(self))

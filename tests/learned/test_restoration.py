@@ -96,6 +96,25 @@ def test_it_does_not_see_how_bright_a_scene_is():
     np.testing.assert_allclose(restored(net(), brighter), restored(net(), seen) + 0.5, atol=1e-6)
 
 
+@pytest.mark.parametrize("views", [1, 2, 4])
+def test_restored_is_the_mean_of_all_views(views):
+    """The picture of a mirrored solution is then the mirrored picture, as far as there are views of it."""
+    seen = solved(np.random.default_rng(0).random((8, 12)))
+    alone = net(**SEEING)
+
+    def turned(picture, axes):
+        return jnp.flip(picture, axes) if jnp.ndim(picture) else picture
+
+    axes = [(), (0, 1), (1,), (0,)][:views]
+    expected = sum(turned(alone(Solved(*(turned(part, one) for part in seen))), one) for one in axes) / views
+    several = net(**SEEING, views=views)
+    found = restored(several, seen)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    for one in axes:
+        mirrored = restored(several, Solved(*(turned(part, one) for part in seen)))
+        np.testing.assert_allclose(turned(mirrored, one), found, atol=1e-6)
+
+
 @pytest.mark.parametrize("sizes", [SIZES, SEEING])
 def test_gradients_of_all_weights(sizes):
     image, truth = (jnp.asarray(np.random.default_rng(seed).random((8, 8)), jnp.float32) for seed in (0, 1))
@@ -221,6 +240,8 @@ def test_what_is_refused(recording, silent):
         compare_stages(recording, [silent], scale=3)
     with pytest.raises(InputError, match="folding is 0; it must be at least 1"):
         RestorationConfig(2, folding=0)
+    with pytest.raises(InputError, match="views is 3; it must be 1, 2 or 4"):
+        RestorationConfig(2, views=3)
     with pytest.raises(
         InputError, match="network.depth is not known: allowed are blocks, channels, contrast, folding, "
     ):

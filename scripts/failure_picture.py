@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from comparison import write_comparison
 from scsr_opt import reconstruct
-from scsr_opt._files import whole_file
 from scsr_opt.camera import Recording, Sensor, simulate, tfp
 from scsr_opt.camera.scenes import Scene, Translation
-from scsr_opt.cli.demo_scene import psnr
-from scsr_opt.report import bicubic, compare
+from scsr_opt.report import bicubic
 
 SCALE, FRAMES, KEY = 4, 101, 50
 
@@ -45,11 +44,7 @@ def main(target: Path) -> None:
     solution = reconstruct(recording, scale=SCALE, key=KEY)
     truth = made.truth(float(KEY))
     columns = {"Playback, enlarged": bicubic(tfp(recording, KEY), SCALE), "Reconstruction": solution.image}
-    scores = [f"{name} {psnr(truth, np.asarray(image), 8 * SCALE):.2f} dB" for name, image in columns.items()]
-    drawn = compare({**columns, "Truth": truth}, scale=SCALE)
-    with whole_file(target) as temporary:
-        drawn.savefig(temporary, dpi=70, pil_kwargs={"optimize": True})
-    print(f"{target}: {target.stat().st_size // 1000} kB; {', '.join(scores)}")
+    write_comparison(target, columns, truth, scale=SCALE)
 
 
 if __name__ == "__main__":

@@ -4,25 +4,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-from scsr_opt._files import whole_file
+from comparison import write_comparison
 from scsr_opt.camera import tfp
 from scsr_opt.cli.demo_scene import KEY, SCALE, run
-from scsr_opt.report import bicubic, compare, detailed_part
+from scsr_opt.report import bicubic, detailed_part
 
 
 def main(target: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         made = run(Path(folder))
     playback = tfp(made.simulation.spikes, KEY, white_rate=made.simulation.white_rate)
-    columns = {
-        "Playback, enlarged": bicubic(playback, SCALE),
-        "Reconstruction": made.solution.image,
-        "Truth": made.simulation.truth(float(KEY)),
-    }
-    drawn = compare(columns, scale=SCALE, crop=detailed_part(made.solution.image, scale=SCALE))
-    with whole_file(target) as temporary:
-        drawn.savefig(temporary, dpi=100, pil_kwargs={"optimize": True})
-    print(f"{target}: {target.stat().st_size // 1000} kB, PSNR {made.playback_psnr:.2f} -> {made.psnr:.2f} dB")
+    columns = {"Playback, enlarged": bicubic(playback, SCALE), "Reconstruction": made.solution.image}
+    crop = detailed_part(made.solution.image, scale=SCALE)
+    write_comparison(target, columns, made.simulation.truth(float(KEY)), scale=SCALE, crop=crop, dpi=100)
 
 
 if __name__ == "__main__":

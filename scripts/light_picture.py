@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from comparison import write_comparison
 from scsr_opt import reconstruct
-from scsr_opt._files import whole_file
 from scsr_opt.camera import Recording, Sensor, simulate
 from scsr_opt.camera.recording import READOUT_RATE
 from scsr_opt.camera.scenes import Scene, Translation
-from scsr_opt.cli.demo_scene import psnr
-from scsr_opt.report import compare
 
 SCALE, FRAMES, KEY = 2, 401, 200
 HERTZ, SWING = 100, 0.5
@@ -47,11 +45,7 @@ def main(target: Path) -> None:
         for light in ("constant", "mean")
     }
     truth = street.frame(KEY)
-    scores = [f"{name} {psnr(truth, np.asarray(image), 8 * SCALE):.2f} dB" for name, image in columns.items()]
-    drawn = compare({**columns, "Truth": truth}, scale=SCALE)
-    with whole_file(target) as temporary:
-        drawn.savefig(temporary, dpi=70, pil_kwargs={"optimize": True})
-    print(f"{target}: {target.stat().st_size // 1000} kB; {', '.join(scores)}")
+    write_comparison(target, columns, truth, scale=SCALE)
 
 
 if __name__ == "__main__":

@@ -36,16 +36,12 @@ class Demo:
 
     **Fields:**
     - `simulation`, `recording`, `solution`: in the order in which they came about.
-    - `playback_psnr`, `psnr`: of bicubic playback and of the solution against the truth, dB, without 8 sensor pixels of
-      border.
     - `lines`: what to say of it.
     """
 
     simulation: Simulation
     recording: Recording
     solution: Solution
-    playback_psnr: float
-    psnr: float
     lines: list[str] = field(default_factory=list)
 
 
@@ -90,11 +86,11 @@ def run(folder: Path, *, progress: Progress | None = None) -> Demo:
     seconds = {"solve": time.perf_counter() - started}
     report = Report.of(solution, seconds=seconds)
     report.write(folder / "report.json")
+    if not solution.status.usable:
+        return Demo(simulation, recording, solution)
     truth = simulation.truth(float(KEY))
     playback = bicubic(tfp(simulation.spikes, KEY, white_rate=simulation.white_rate), SCALE)
     scores = [psnr(truth, np.asarray(image), 8 * SCALE) for image in (playback, solution.image)]
-    if not solution.status.usable:
-        return Demo(simulation, recording, solution, scores[0], scores[1])
     write_picture(folder / "truth.png", truth)
     write_picture(folder / "picture.png", solution.image)
     drawn = figure(solution, truth=truth, title="A simulated recording")
@@ -106,4 +102,4 @@ def run(folder: Path, *, progress: Progress | None = None) -> Demo:
         f"Look at {folder / 'figure.png'}: playback, reconstruction and truth side by side, the framed part enlarged.",
         f"The recording is {folder / 'recording.npz'}; try: scsr info {folder / 'recording.npz'}",
     ]
-    return Demo(simulation, recording, solution, scores[0], scores[1], lines)
+    return Demo(simulation, recording, solution, lines)

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from scsr_opt._kernels.device import on_device
-from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
+from scsr_opt.motion.settings import DEFAULTS
+from scsr_opt.motion.trajectory_settings import TrajectorySettings
 
 Place = TypeVar("Place")
 Found = TypeVar("Found")

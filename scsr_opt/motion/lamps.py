@@ -15,7 +15,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter, medi
 from scsr_opt.camera.light import Light
 from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.estimators.frames import MotionFrames
-from scsr_opt.motion.settings import DEFAULTS, LightSettings, MotionSettings
+from scsr_opt.motion.light_settings import LightSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion, key_frame_positions
 
 

@@ -26,7 +26,8 @@ from scsr_opt.camera.light import Light
 from scsr_opt.camera.rates import interval_rates
 from scsr_opt.camera.spike_times import SpikeTimes
 from scsr_opt.motion.estimators.frames import MotionFrames
-from scsr_opt.motion.settings import DEFAULTS, LightSettings, MotionSettings
+from scsr_opt.motion.light_settings import LightSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion
 
 Spikes = Shaped[np.ndarray, "T h w"]

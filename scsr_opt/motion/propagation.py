@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from scsr_opt.motion.inversion import bilinear, inverse
-from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
+from scsr_opt.motion.settings import DEFAULTS
 from scsr_opt.motion.trajectory import Layers, Motion, key_frame_positions
+from scsr_opt.motion.trajectory_settings import TrajectorySettings
 
 
 def carry(motion: Motion, frames: float | int, settings: TrajectorySettings = DEFAULTS.trajectory) -> Motion:

@@ -34,7 +34,8 @@ from scsr_opt.motion.inversion import (
     inverse_at,
     read_picture,
 )
-from scsr_opt.motion.settings import DEFAULTS, TrajectorySettings
+from scsr_opt.motion.settings import DEFAULTS
+from scsr_opt.motion.trajectory_settings import TrajectorySettings
 
 SPACING = 4
 """Frames between two moments at which the inverse is computed. Linear interpolation between them is wrong by at most

@@ -96,18 +96,43 @@ def scsr(capsys) -> Callable[..., str]:
 EVERY = 10  # of the store: pictures of frames 0, 10, 20 and 30
 
 
-def quick_sequence(recording, keys, *, scale, options):
-    """A stand-in for `reconstruct_sequence`."""
-    for key in keys:
-        yield Solution(
-            image=np.full((scale * HEIGHT, scale * WIDTH), key / FRAMES, np.float32),
-            recording=recording,
-            scale=scale,
-            key=key,
-            white_rate=recording.white_rate,
-            status=Status.converged,
-            diagnostics=Diagnostics(motion_carried=False),
-        )
+FAILING = 13  # frame of which `quick_sequences` fails to make a picture
+
+
+def quick_sequences(patch: pytest.MonkeyPatch) -> list[dict]:
+    """Puts a quick stand-in in the place of `reconstruct_sequence`, and takes no pixel for bad.
+
+    Its pictures are as bright as their frame is late. Motion is found anew at the first picture of a call and at the
+    third.
+
+    **Returns:** what it was called with, a table for each call: `recording`, `keys`, `scale`, `options`.
+    """
+    calls: list[dict] = []
+
+    def stand_in(recording, keys, *, scale, options):
+        calls.append({"recording": recording, "keys": list(keys), "scale": scale, "options": options})
+        height, width = recording.shape[1:] if options.crop is None else options.crop[2:]
+        for number, key in enumerate(keys):
+            yield Solution(
+                image=np.full((scale * height, scale * width), key / FRAMES, np.float32),
+                recording=recording,
+                scale=scale,
+                key=key,
+                white_rate=recording.white_rate,
+                status=Status.non_finite if key == FAILING else Status.converged,
+                crop=options.crop,
+                diagnostics=Diagnostics(motion_carried=number not in (0, 2)),
+            )
+
+    patch.setattr("scsr_opt.sequences.run.reconstruct_sequence", stand_in)
+    patch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
+    return calls
+
+
+@pytest.fixture
+def sequences(monkeypatch) -> list[dict]:
+    """Sequences are made by `quick_sequences`; returns what it was called with."""
+    return quick_sequences(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -118,8 +143,7 @@ def originals(tmp_path_factory) -> Path:
     for name in ("ramp.npz", "ramp.npy", "ramp.h5", "ramp_40x24.dat"):
         write_recording(folder / name, recording)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("scsr_opt.sequences.run.reconstruct_sequence", quick_sequence)
-        patch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
+        quick_sequences(patch)
         plan = Plan.of(recording, range(0, FRAMES, EVERY), scale=1, group=3)
         write_sequence(plan, folder / "a.zarr")
     return folder
@@ -174,5 +198,5 @@ def refused(capsys, here, solves) -> Callable[..., str]:
 
 @pytest.fixture
 def quickly(monkeypatch, solves) -> None:
-    """Sequences are solved for by `quick_sequence`."""
-    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", quick_sequence)
+    """The folder of `solves`, where sequences are made by `quick_sequences`."""
+    quick_sequences(monkeypatch)

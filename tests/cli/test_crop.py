@@ -9,7 +9,6 @@ import pytest
 
 import scsr_opt
 from scsr_opt.baselines import tfp_bicubic
-from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera import read_recording, tfp, write_recording
 from scsr_opt.errors import InputError
 from scsr_opt.operators import Blur
@@ -21,19 +20,6 @@ FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
 CROP = (4, 2, 8, 16)
 CUT = (..., slice(4, 12), slice(2, 18))
 CROPPED = ("--crop", "4,2,8,16")
-
-
-def solved(recording, **diagnostics) -> Solution:
-    return Solution(
-        image=np.zeros((16, 32), np.float32),
-        recording=recording,
-        scale=2,
-        key=15,
-        white_rate=0.6,
-        status=Status.converged,
-        crop=CROP,
-        diagnostics=Diagnostics(**diagnostics),
-    )
 
 
 @pytest.fixture
@@ -78,7 +64,16 @@ def test_solve_hands_on_the_crop_and_reports_it(scsr, noise, monkeypatch):
 
     def reconstruct(recording, *, scale, crop, **others):
         calls.append({"recording": recording, "crop": crop, **others})
-        return solved(recording, iterations=2)
+        return Solution(
+            image=np.zeros((16, 32), np.float32),
+            recording=recording,
+            scale=scale,
+            key=15,
+            white_rate=0.6,
+            status=Status.converged,
+            crop=crop,
+            diagnostics=Diagnostics(iterations=2),
+        )
 
     monkeypatch.setattr(scsr_opt, "reconstruct", reconstruct, raising=False)
     given = ("--scale", "2", "-o", "a.npz", "--report", "a.json", "--figure", "f.png", "--optics", "0.5", *CROPPED)
@@ -92,18 +87,10 @@ def test_solve_hands_on_the_crop_and_reports_it(scsr, noise, monkeypatch):
         assert stored["crop"].tolist() == list(CROP)
 
 
-def test_sequence_hands_on_the_crop(scsr, noise, monkeypatch):
-    calls = []
-
-    def sequence(recording, keys, *, scale, options):
-        calls.append((recording.shape, options.crop))
-        for _ in keys:
-            yield solved(recording, motion_carried=False)
-
-    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", sequence)
-    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
+def test_sequence_hands_on_the_crop(scsr, noise, sequences):
     scsr("sequence", "noise.npz", "-o", "a.gif", "--every", "10", "--scale", "2", *CROPPED)
-    assert calls == [((FRAMES, HEIGHT, WIDTH), CROP)]
+    (call,) = sequences
+    assert call["recording"].shape == (FRAMES, HEIGHT, WIDTH) and call["options"].crop == CROP
 
 
 @pytest.mark.parametrize("shape", [(HEIGHT, WIDTH), CROP[2:]])

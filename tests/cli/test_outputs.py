@@ -9,12 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scsr_opt.calibration.bad_pixels import BadPixels
-from scsr_opt.pipeline.solution import Diagnostics, Solution
-from scsr_opt.solvers import Status
-
-FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
-
 COMMANDS = {
     "solve": ("solve ramp.npz -o a.png --report a.json --figure f.pdf", ["a.png", "a.json", "f.pdf"]),
     "sequence": ("sequence ramp.npz -o a.gif --every 10", ["a.gif"]),
@@ -37,35 +31,18 @@ every_output = pytest.mark.parametrize(
 
 
 @pytest.fixture(autouse=True)
-def sequences(monkeypatch, asked, file) -> list[dict]:
-    """Puts quick stand-ins in the place of `sequence` and `reconstruct`; returns what they were called with."""
+def flat(asked, sequences, file) -> None:
+    """Stand-ins for the work, and what it is done on: the recording ramp.npz and the picture flat.png."""
     Image.fromarray(np.full((48, 64), 100, np.uint8)).save("flat.png")
-
-    def stand_in(recording, keys, *, scale, options):
-        asked.append({"spikes": recording, "keys": keys, "scale": scale, "options": options})
-        for _ in keys:
-            yield Solution(
-                image=np.ones((scale * HEIGHT, scale * WIDTH), np.float32),
-                recording=recording,
-                scale=scale,
-                key=0,
-                white_rate=0.6,
-                status=Status.converged,
-                diagnostics=Diagnostics(motion_carried=False),
-            )
-
-    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", stand_in)
-    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
-    return asked
 
 
 @every_output
-def test_an_output_that_is_there_is_refused_before_the_work(scsr, asked, command, output):
+def test_an_output_that_is_there_is_refused_before_the_work(scsr, asked, sequences, command, output):
     Path(output).write_text("old")
     there = sorted(os.listdir())
     said = scsr(*COMMANDS[command][0].split(), code=2)
     assert f"{output} is there already: give --overwrite to replace it, or another name." in said
-    assert asked == [] and sorted(os.listdir()) == there and Path(output).read_text() == "old"
+    assert asked == sequences == [] and sorted(os.listdir()) == there and Path(output).read_text() == "old"
 
 
 @pytest.mark.parametrize("command", COMMANDS)

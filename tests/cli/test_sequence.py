@@ -9,36 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from scsr_opt import Diagnostics, Solution, Status
-from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.report import read_picture
 from scsr_opt.sequences import SequenceStore
 
 FRAMES, HEIGHT, WIDTH = 31, 24, 40  # of the fixture `spikes`
-FAILING = 13
 
-
-@pytest.fixture(autouse=True)
-def asked(monkeypatch) -> list[dict]:
-    """Puts a quick stand-in in the place of `reconstruct_sequence`; returns what it was called with."""
-    calls: list[dict] = []
-
-    def stand_in(recording, keys, *, scale, options):
-        calls.append({"recording": recording, "keys": list(keys), "scale": scale, "options": options})
-        for number, key in enumerate(keys):
-            yield Solution(
-                image=np.full((scale * HEIGHT, scale * WIDTH), key / FRAMES, np.float32),
-                recording=recording,
-                scale=scale,
-                key=key,
-                white_rate=recording.white_rate,
-                status=Status.non_finite if key == FAILING else Status.converged,
-                diagnostics=Diagnostics(motion_carried=number not in (0, 2)),
-            )
-
-    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", stand_in)
-    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
-    return calls
+pytestmark = pytest.mark.usefixtures("sequences")
 
 
 def test_sequence_of_one_picture_is_spoken_of_as_one(scsr, file):
@@ -48,7 +24,7 @@ def test_sequence_of_one_picture_is_spoken_of_as_one(scsr, file):
     assert said[2] == "Motion was estimated once, at frame 4."
 
 
-def test_sequence_film_says_where_motion_was_found_anew_and_how_slow_it_is(scsr, here, file, asked):
+def test_sequence_film_says_where_motion_was_found_anew_and_how_slow_it_is(scsr, here, file, sequences):
     given = ("--scale", "2", "--start", "4", "--stop", "12", "--every", "2", "--rate", "10")
     said = scsr("sequence", file, "-o", "a.gif", *given).splitlines()
     assert said[0] == "a.gif: 4 pictures asked for, of frames 4 to 10, every 2; 4 written."
@@ -57,36 +33,36 @@ def test_sequence_film_says_where_motion_was_found_anew_and_how_slow_it_is(scsr,
     with Image.open("a.gif") as film:
         assert film.size == (2 * WIDTH, 2 * HEIGHT)
         assert film.n_frames == 4  # pyright: ignore[reportAttributeAccessIssue]
-    (call,) = asked
+    (call,) = sequences
     assert call["keys"] == [4, 6, 8, 10] and call["scale"] == 2 and call["options"].frames == 101
     assert sorted(os.listdir(here)) == ["a.gif", "ramp.npz"]
 
 
-def test_sequence_hands_on_what_is_to_be_solved(scsr, file, asked):
+def test_sequence_hands_on_what_is_to_be_solved(scsr, file, sequences):
     options = ["--frames", "21", "--strength", "0.3", "--motion", "global", "--every", "10", "--group", "3"]
     assert scsr("sequence", file, "-o", "out", *options, "--bits", "32", "--scale", "1", "--quiet") == ""
-    assert [call["keys"] for call in asked] == [[0, 10, 20], [30]]
-    given = asked[0]["options"]
+    assert [call["keys"] for call in sequences] == [[0, 10, 20], [30]]
+    given = sequences[0]["options"]
     assert given.frames == 21 and given.strength == 0.3 and type(given.motion).__name__ == "Global"
     assert sorted(os.listdir("out/images")) == ["000000.tif", "000010.tif", "000020.tif", "000030.tif"]
     np.testing.assert_allclose(read_picture("out/images/000020.tif"), 20 / FRAMES, rtol=1e-6)
 
 
-def test_sequence_takes_about_25_pictures(scsr, file, asked):
+def test_sequence_takes_about_25_pictures(scsr, file, sequences):
     scsr("sequence", file, "-o", "a.gif", "--quiet", "--stop", "12", "--scale", "1")
-    assert [key for call in asked for key in call["keys"]] == list(range(12))
+    assert [key for call in sequences for key in call["keys"]] == list(range(12))
 
 
-def test_sequence_that_is_there_is_said_to_be(scsr, file, asked):
+def test_sequence_that_is_there_is_said_to_be(scsr, file, sequences):
     given = ("sequence", file, "-o", "a.zarr", "--every", "10", "--scale", "1")
     scsr(*given)
-    del asked[:]
+    del sequences[:]
     said = scsr(*given).splitlines()
     assert said[:2] == [
         "a.zarr: 4 pictures asked for, of frames 0 to 30, every 10; 4 written.",
         "4 pictures had been there before.",
     ]
-    assert asked == []
+    assert sequences == []
 
 
 def test_sequence_of_which_a_picture_fails_says_so_and_keeps_the_others(scsr, file, capsys):
@@ -108,7 +84,7 @@ def test_sequence_of_which_a_picture_fails_says_so_and_keeps_the_others(scsr, fi
     assert Path("out/times.csv").read_text().splitlines()[3].startswith("2,,13,")
 
 
-def test_sequence_without_motion_says_nothing_of_it(scsr, file, asked):
+def test_sequence_without_motion_says_nothing_of_it(scsr, file, sequences):
     said = scsr("sequence", file, "-o", "a.zarr", "--every", "10", "--scale", "1", "--motion", "none")
     assert "Motion" not in said and "4 pictures solved for" in said
 
@@ -202,9 +178,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("options", "message"), REFUSED, ids=[" ".join(options)[:60] for options, _ in REFUSED])
-def test_sequence_refuses(scsr, here, file, asked, options, message):
+def test_sequence_refuses(scsr, here, file, sequences, options, message):
     assert message in scsr("sequence", file, *options, code=2)
-    assert os.listdir(here) == ["ramp.npz"] and not asked
+    assert os.listdir(here) == ["ramp.npz"] and not sequences
 
 
 @pytest.mark.parametrize(
@@ -216,26 +192,26 @@ def test_sequence_refuses(scsr, here, file, asked, options, message):
         (b"no recording at all" * 100, "bad.npz"),
     ],
 )
-def test_sequence_refuses_a_file_that_is_no_recording(scsr, here, asked, content, message):
+def test_sequence_refuses_a_file_that_is_no_recording(scsr, here, sequences, content, message):
     if content is not None:
         Path("bad.npz").write_bytes(content)
     assert message in scsr("sequence", "bad.npz", "-o", "a.zarr", code=2)
-    assert set(os.listdir(here)) <= {"bad.npz"} and not asked
+    assert set(os.listdir(here)) <= {"bad.npz"} and not sequences
 
 
-def test_sequence_refuses_a_recording_that_is_cut_short(scsr, here, file, asked):
+def test_sequence_refuses_a_recording_that_is_cut_short(scsr, here, file, sequences):
     Path(file).write_bytes(Path(file).read_bytes()[:-200])
     assert "ramp.npz" in scsr("sequence", file, "-o", "a.zarr", code=2)
-    assert os.listdir(here) == ["ramp.npz"] and not asked
+    assert os.listdir(here) == ["ramp.npz"] and not sequences
 
 
 @pytest.mark.parametrize("output", ["a.gif", "a.npz", "a.npy", "out", "a.zarr"])
-def test_sequence_refuses_what_is_in_the_way(scsr, here, file, asked, output):
+def test_sequence_refuses_what_is_in_the_way(scsr, here, file, sequences, output):
     """A folder with files of somebody else is never replaced, nor a folder by a file."""
     Path(output).mkdir()
     (Path(output) / "thesis.txt").write_text("years of work")
     scsr("sequence", file, "-o", output, "--overwrite", code=2)
-    assert os.listdir(output) == ["thesis.txt"] and not asked
+    assert os.listdir(output) == ["thesis.txt"] and not sequences
 
 
 def test_sequence_output_folder_is_refused_and_replaced_when_asked(scsr, file):

@@ -9,7 +9,8 @@ from scsr_opt.camera.simulator import Simulation, simulate
 from scsr_opt.motion import Automatic, Motion, trajectory_of
 from scsr_opt.motion.estimators import automatic
 from scsr_opt.motion.estimators.frames import MotionFrames, motion_frames
-from scsr_opt.motion.settings import DEFAULTS, ChoiceSettings, MotionSettings
+from scsr_opt.motion.estimators.settings import ChoiceSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Layers
 
 SCALE, KEY = 2, 50

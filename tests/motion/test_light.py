@@ -10,7 +10,8 @@ from scsr_opt.motion import estimate_motion
 from scsr_opt.motion.estimators.automatic import corrected_frames, motion_in
 from scsr_opt.motion.estimators.evidence import light_explains
 from scsr_opt.motion.light import find_light
-from scsr_opt.motion.settings import DEFAULTS, LightSettings
+from scsr_opt.motion.light_settings import LightSettings
+from scsr_opt.motion.settings import DEFAULTS
 from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.task import task_of
 

@@ -11,8 +11,9 @@ from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion.estimators import parametric as module
 from scsr_opt.motion.estimators.frames import MotionFrames, motion_frames
 from scsr_opt.motion.estimators.parametric import generators, parametric
+from scsr_opt.motion.estimators.settings import ParametricSettings
 from scsr_opt.motion.inversion import bilinear, inverse
-from scsr_opt.motion.settings import DEFAULTS, MotionSettings, ParametricSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 
 HEIGHT, WIDTH = 60, 80
 AFTER = np.linspace(-48, 48, 17).astype(np.float32)

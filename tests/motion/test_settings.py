@@ -8,13 +8,9 @@ from scsr_opt import Options, reconstruct
 from scsr_opt.camera.scenes import Translation
 from scsr_opt.camera.simulator import Sensor, simulate
 from scsr_opt.motion import Automatic, Layers, Motion, MotionSettings
-from scsr_opt.motion.settings import (
-    EvidenceSettings,
-    FrameSettings,
-    ParametricSettings,
-    ReliabilitySettings,
-    TrajectorySettings,
-)
+from scsr_opt.motion.estimators.settings import ParametricSettings
+from scsr_opt.motion.settings import EvidenceSettings, FrameSettings, ReliabilitySettings
+from scsr_opt.motion.trajectory_settings import TrajectorySettings
 from scsr_opt.pipeline.settings import PipelineSettings
 from scsr_opt.pipeline.task import task_of
 

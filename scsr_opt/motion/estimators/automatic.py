@@ -39,11 +39,12 @@ from scsr_opt.motion.estimators.layered import layered, relabelled
 from scsr_opt.motion.estimators.parametric import parametric, shows_global_motion
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
 from scsr_opt.motion.estimators.reach import within_reach
+from scsr_opt.motion.estimators.settings import ChoiceSettings
 from scsr_opt.motion.lamps import along_motion
 from scsr_opt.motion.light import find_light
 from scsr_opt.motion.propagation import carry
 from scsr_opt.motion.reliability import with_trust
-from scsr_opt.motion.settings import DEFAULTS, ChoiceSettings, MotionSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from scsr_opt.motion.estimators.frames import MotionFrames, drift, smooth, smoothed
-from scsr_opt.motion.settings import DEFAULTS, DenseSettings, MotionSettings
+from scsr_opt.motion.estimators.settings import DenseSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion
 
 # Which of the two fields is estimated.

@@ -22,8 +22,9 @@ from scsr_opt._threads import in_threads
 from scsr_opt.motion.estimators.evidence import contradicted, typical_noise, variance_along
 from scsr_opt.motion.estimators.frames import MotionFrames, drift_of, picture_along, smoothed
 from scsr_opt.motion.estimators.parametric import generators, parametric
+from scsr_opt.motion.estimators.settings import LayerSettings
 from scsr_opt.motion.inversion import inverse, read_picture
-from scsr_opt.motion.settings import DEFAULTS, LayerSettings, MotionSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Layers, Motion
 
 

@@ -25,7 +25,8 @@ from scsr_opt.errors import InputError
 from scsr_opt.motion.estimators.base import Estimator
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.estimators.phase import PhaseCorrelation
-from scsr_opt.motion.settings import DEFAULTS, FlowSettings, MotionSettings
+from scsr_opt.motion.estimators.settings import FlowSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion
 
 

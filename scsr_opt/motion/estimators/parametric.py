@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt.motion.estimators.frames import MotionFrames
+from scsr_opt.motion.estimators.settings import ParametricSettings
 from scsr_opt.motion.inversion import Corner, corner_of, in_turn
-from scsr_opt.motion.settings import DEFAULTS, MotionSettings, ParametricSettings
+from scsr_opt.motion.settings import DEFAULTS, MotionSettings
 from scsr_opt.motion.trajectory import Motion
 
 # The generators of a homography, and which of them are shifts, linear and quadratic in position.

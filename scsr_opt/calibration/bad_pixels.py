@@ -268,7 +268,7 @@ def resting_pixels(
         return reading, pictures[b].ravel()[rows].astype(np.float32)
 
     read = in_threads(prepared, range(count))
-    found = judged = steady = np.zeros(rows.size, bool)
+    found = judged = nearly = np.zeros(rows.size, bool)
     whole, limit = np.zeros(rows.size, np.float32), np.full(shape, math.inf)
     for _ in range(settings.rounds):
         total, weight = np.zeros(height * width, np.float32), np.zeros(height * width, np.float32)
@@ -277,19 +277,19 @@ def resting_pixels(
             total += reading.T @ (use * light)
             weight += reading.T @ use
         scene = total / np.maximum(weight, 1e-6)
-        measured, predicted = np.zeros((2, settings.quarters, rows.size), np.float32)
-        looks = np.zeros(rows.size, np.float32)
+        measured, predicted, looks = np.zeros((3, settings.quarters, rows.size), np.float32)
         for b, (reading, light) in enumerate(read):
             trusted = np.minimum(weight, 1) * alike.ravel()
             known = (reading @ trusted > settings.least_known_share).astype(np.float32)
-            measured[b * settings.quarters // count] += known * light
-            predicted[b * settings.quarters // count] += known * (reading @ scene)
-            looks += known
+            quarter = b * settings.quarters // count
+            measured[quarter] += known * light
+            predicted[quarter] += known * (reading @ scene)
+            looks[quarter] += known
         offset = count * settings.dark_light
         each = np.log((measured + offset / settings.quarters) / (predicted + offset / settings.quarters))
         expected: np.ndarray = predicted.sum(0)
         whole = np.log((measured.sum(0) + offset) / (expected + offset))
-        judged = looks >= settings.least_looks_share * count
+        judged = looks.sum(0) >= settings.least_looks_share * count
         # What changes for all pixels alike is the light.
         if judged.any():
             each = each - (np.median(each[:, judged], axis=1) - np.median(whole[judged]))[:, None]
@@ -299,7 +299,10 @@ def resting_pixels(
         limit = np.maximum(settings.least_resting_deviation, np.nan_to_num(chance, nan=math.inf))
         for share, factor in zip(settings.resting_quantiles, settings.resting_factors, strict=True):
             limit = np.maximum(limit, factor * _in_squares(of_others, share))
-        steady = (each * np.sign(whole)).min(axis=0) >= settings.steady_share * np.abs(whole)
+        agrees = each * np.sign(whole) >= settings.steady_share * np.abs(whole)
+        steady = agrees.all(axis=0)
+        # Beside a pixel that is found: in one quarter others may not have seen what the pixel sees.
+        nearly = (agrees | (looks == 0)).all(axis=0) & (np.count_nonzero(looks, axis=0) >= settings.quarters - 1)
         found = judged & steady & (np.abs(whole) >= limit.ravel()[rows])
         found[found] = ~_goes_on(deviation, rows[found], smooth, settings)
     if np.count_nonzero(found) > settings.most_resting_share * rows.size:
@@ -309,7 +312,7 @@ def resting_pixels(
         seeds, allowed = np.zeros(height * width, bool), np.zeros(height * width, bool)
         seeds[rows[found & (whole * sign > 0)]] = True
         near = np.abs(whole) >= settings.grown_share * limit.ravel()[rows]
-        allowed[rows[judged & steady & near & (whole * sign > 0)]] = True
+        allowed[rows[judged & nearly & near & (whole * sign > 0)]] = True
         if seeds.any():
             grown = binary_dilation(
                 seeds.reshape(shape), np.ones((3, 3), bool), settings.grown_px, mask=allowed.reshape(shape)

@@ -152,12 +152,13 @@ class Task:
         )
 
     def find_resting(self, frames: MotionFrames | None, motion: Motion) -> BadPixels:
-        """Pixels that rest on the sensor while the scene moves; `frames`: its short pictures, where they are known."""
+        """Pixels that rest on the sensor while the scene moves, and those that stand out once these are left out;
+        `frames`: its short pictures, where they are known."""
         clip, settings = self.clip, self.options.settings.bad_pixels
         if float(motion.speed.max()) * len(clip.spikes) >= settings.least_motion_px:
             frames = self.motion_frames(self.options.known_gain) if frames is None else frames
             if frames is not None:
-                return resting_pixels(
+                found = resting_pixels(
                     np.asarray(frames.picture),
                     np.asarray(frames.after),
                     np.asarray(motion.velocity),
@@ -167,6 +168,8 @@ class Task:
                     bad=clip.bad_pixels,
                     settings=settings,
                 )
+                # The end of a hair, which its other pixels hid: it stands out without them.
+                return found.also(self.without(found).find_isolated()) if found.mask.any() else found
         return BadPixels.none(clip.shape)
 
     def trajectory(self, motion: Motion) -> Trajectory:

@@ -76,6 +76,25 @@ def test_bad_pixels_are_found_by_more_frames_than_the_clip():
     np.testing.assert_array_equal(left_out(task).mask, MASK)
 
 
+def test_find_resting_end_of_a_hair_stands_out_without_the_rest(monkeypatch):
+    spikes = spikes_of(2 * LIGHT)
+    hair = [(10, 12), (11, 13), (12, 14), (13, 15)]
+    for row, column in hair:
+        spikes[:, row, column] = spikes_of(0.5 * LIGHT)[:, row, column]
+    resting = np.zeros(SHAPE, np.uint8)
+    resting[tuple(zip(*hair[:3], strict=True))] = PixelKind.RESTING
+    moving = Motion.constant((0.1, 0.1), SHAPE)
+    task = task_of(spikes, 2, None, Options(motion=moving, bad_pixels=None))
+    monkeypatch.setattr("scsr_opt.pipeline.task.resting_pixels", lambda *given, **options: BadPixels(resting))
+    found = task.find_resting(None, moving)
+    assert [kind for row, column in hair if (kind := found.kind[row, column])] == [PixelKind.RESTING] * 3 + [
+        PixelKind.ISOLATED
+    ]
+    assert found.mask.sum() == 4
+    monkeypatch.setattr("scsr_opt.pipeline.task.resting_pixels", lambda *given, **options: BadPixels.none(SHAPE))
+    assert not task.find_resting(None, moving).mask.any()
+
+
 def test_bad_pixels_of_a_crop_are_those_of_the_sensor():
     kinds = BadPixels(np.where(MASK, PixelKind.RESTING, PixelKind.GOOD).astype(np.uint8))
     task = task_of(SPIKES, 2, None, Options(bad_pixels=kinds, crop=(4, 5, 16, 20)))

@@ -39,7 +39,7 @@ def train(
 ) -> int:
     """Train a network on simulated recordings.
 
-    A run in a folder of the same configuration is resumed: stop it at any moment, and start it again. The
+    A run of the same configuration in the folder is resumed: stop it at any moment, and give the command again. The
     folder has the weights (best.scsr, last.scsr), the losses and scores (.csv, curves.png) and sample pictures:
     playback, network and truth.
     """

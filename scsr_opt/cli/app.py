@@ -1,6 +1,6 @@
 """Entry point of `scsr`: commands, exit codes, and errors in one line.
 
-Exit codes: 0 done; 1 a solve failed and its picture was not written; 2 something that was asked for cannot be done
+Exit codes: 0 done; 1 a solve failed and its picture was not written; 2 the request cannot be carried out
 (wrong arguments, unreadable file, no place to write); 130 interrupted; 143 terminated.
 """
 

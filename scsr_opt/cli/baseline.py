@@ -1,4 +1,4 @@
-"""`scsr baseline`: a recording to a picture by one of the methods that `scsr solve` is compared with."""
+"""`scsr baseline`: a recording to a picture by one of the simpler methods to compare `scsr solve` with."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -65,7 +65,7 @@ def baseline(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
-    """Make the picture of one moment by a simpler method, to compare that of `scsr solve` with.
+    """Make a picture of one moment by a simpler method, to compare with that of `scsr solve`.
 
     Size, key frame and intensities of the picture are those of `scsr solve`.
     """

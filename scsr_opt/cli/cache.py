@@ -29,7 +29,7 @@ def cache(
         print(f"{cache_folder()}: {what}; at most {MOST_BYTES / 1e6:.0f} MB are kept.")
     elsewhere = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if elsewhere:
-        print(f"JAX_COMPILATION_CACHE_DIR is set: programs are kept in {elsewhere} now, which is left alone here.")
+        print(f"JAX_COMPILATION_CACHE_DIR is set: programs are kept in {elsewhere} now; this command leaves it alone.")
     return 0
 
 

@@ -28,7 +28,7 @@ def calibrate(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
-    """Make maps of a camera's bad pixels, gains and dark level, which --calibration uses in every command.
+    """Make maps of a camera's bad pixels, gains and dark level, for --calibration of the other commands.
 
     Gains come from --flat, or else from scenes that move; dark levels from --dark alone; bad pixels from all of them.
     All recordings are of one sensor and read in the same way.

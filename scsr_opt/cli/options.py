@@ -127,7 +127,8 @@ class Reading:
         Path | None,
         Parameter(
             help="An .npz file of scsr calibrate, of the whole sensor: its bad pixels are not used, measurements are "
-            "divided by its gains, and its dark levels are subtracted."
+            "divided by its gains, and its dark levels are subtracted. info, baseline and compare use its bad "
+            "pixels only."
         ),
     ] = None
     crop: Annotated[

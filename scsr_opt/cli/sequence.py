@@ -98,8 +98,8 @@ def sequence(
     scheduler: Annotated[
         str | None,
         Parameter(
-            help="Solve by the workers of this Dask scheduler, tcp://HOST:PORT, which see FILE, unless it is a URL, "
-            "and the output under the same paths."
+            help="Solve by the workers of this Dask scheduler, tcp://HOST:PORT. They need the output, and FILE unless "
+            "it is a URL, under the same paths."
         ),
     ] = None,
     bits: Bits = None,
@@ -111,10 +111,10 @@ def sequence(
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> int:
-    """Solve for the super-resolved pictures of many moments, each starting from the motion of the one before.
+    """Solve for the super-resolved pictures of many moments, each starting from the one before.
 
-    The motion is carried on from picture to picture, and estimated again where the recording contradicts it. A run that
-    was interrupted continues when the same command is given again, and its pictures are the same, bit for bit, as those
+    Within a group the motion is carried on for a few frames, unless the recording contradicts it. A run that was
+    interrupted continues when the same command is given again, and its pictures are the same, bit for bit, as those
     of an undisturbed run. Unless the output is a .zarr, pictures are kept in OUTPUT.unfinished.zarr until all of them
     are solved for.
 

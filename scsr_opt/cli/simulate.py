@@ -44,8 +44,8 @@ class Motion:
         Kind,
         Parameter(
             help="static: nothing moves; translation: the picture moves past; affine: it moves, turns and grows; "
-            "object: an elliptical object passes before a still background; disc: a disc turns before one; video: the "
-            "frames of a video, faded into each other."
+            "object: an elliptical object passes before a still background; disc: a disc turns before such "
+            "a background; video: the frames of a video, faded into each other."
         ),
     ] = "translation"
     velocity: Annotated[
@@ -140,7 +140,7 @@ class Camera:
     photons: Annotated[float, Parameter(help="Photons per frame of a white pixel: fewer is more shot noise.")] = (
         math.inf
     )
-    dark_rate: Annotated[float, Parameter(help="Thermal charge per frame, as the intensity that gives as much.")] = 0.0
+    dark_rate: Annotated[float, Parameter(help="Thermal charge per frame, as the intensity that gives it.")] = 0.0
     fixed_pattern: Annotated[
         float, Parameter(help="Standard deviation of the pixels' gain; of real cameras about 0.06.")
     ] = 0.0
@@ -174,7 +174,7 @@ def simulate(
     scale: Annotated[Whole, Parameter(help="Pixels of the picture per sensor pixel, along each axis.")] = 4,
     frames: Annotated[Whole, Parameter(help="Spike frames to record.")] = 101,
     key: Annotated[
-        Whole | None, Parameter(help="Frame in which the pictures lie as they are given. Default: the middle one.")
+        Whole | None, Parameter(help="Frame in which the pictures are not displaced. Default: the middle one.")
     ] = None,
     readout_rate: Annotated[float, Parameter(help="Frames per second, Hz; noted in the recording.")] = 40_000.0,
     seed: Annotated[Whole, Parameter(help="Of the random numbers; the same one gives the same recording.")] = 0,

@@ -1,4 +1,4 @@
-"""An error of any kind as one sentence, as `scsr` says it; signals, which are no errors."""
+"""An error of any kind as the one sentence that `scsr` prints; signals, which are no errors."""
 
 import os
 import re

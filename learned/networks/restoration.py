@@ -173,7 +173,7 @@ def restored(net: RestorationNet, solved: Solved) -> Float[Array, "H W"]:
 
 
 @eqx.filter_jit
-def _mirrored(net: RestorationNet, solved: Solved, turned: Bool[Array, "2"]) -> Float[Array, "H W"]:
+def _mirrored(net: RestorationNet, solved: Solved, turned: Bool[Array | np.ndarray, "2"]) -> Float[Array, "H W"]:
     """`net` of the solution with its rows, columns, or both, in reverse order, put back into order.
 
     All views use one program, called once for each: in a loop of JAX's, XLA's convolutions took 200 times as long on a

@@ -58,7 +58,7 @@ def reconstruct_sequence(
     """The pictures X of the key frames `keys`, one after the other: Eq. 4 of the paper for each (`reconstruct`).
 
     A picture is solved for when the generator is asked for it, and the faster the less changed since the one before.
-    Meanwhile the samples of the next picture are made, and the motion of the one after that is carried on.
+    Meanwhile motion, samples and problem of the next one are made.
 
     **Arguments:**
     - `spikes`, `scale`, `options`, `changes`, `progress`: as of `reconstruct`; `motion` must be None or an
@@ -178,39 +178,30 @@ def _pictures(
     options, white = common(recording, keys, scale, options)
     settings = options.settings.sequence
 
-    def moments(
+    def assembled(
         wanted: Iterable[SupportsIndex], followed: _Followed | None
-    ) -> Generator[tuple[_Moment, Assembly | None], None, None]:
-        """The motion at each key frame; where it is estimated, all that is assembled with it."""
+    ) -> Generator[tuple[_Moment, Assembly], None, None]:
+        """Motion and problem at each key frame."""
         for key in wanted:
             task = task_of(recording, scale, key, options)
             frames = task.motion_frames(task.options.known_gain)
             motion = None if followed is None else _carried(followed, frames, task)
-            assembly = None
             if followed is None or motion is None:
                 assembly = assemble_task(task)
                 kept = _kept_options(task.options, assembly.gain, assembly.strength, assembly.restores)
                 share = _contradicted(frames, assembly.motion, task)
                 followed = _Followed(assembly.motion, task.clip.key_frame, share, kept)
+            else:
+                changes = Options.of(options, {"motion": motion, **followed.options})
+                assembly = assemble_task(task_of(recording, scale, task.clip.key_frame, changes))
+                solver = assembly.method.solver
+                solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
+                assembly = replace(assembly, method=replace(assembly.method, solver=solver))
             yield _Moment(task, frames, motion, followed), assembly
-
-    def assemblies(
-        known: Generator[tuple[_Moment, Assembly | None], None, None],
-    ) -> Generator[tuple[_Moment, Assembly], None, None]:
-        """The problem at each key frame."""
-        with closing(known):
-            for now, assembly in known:
-                if assembly is None:
-                    changes = Options.of(options, {"motion": now.carried, **now.followed.options})
-                    assembly = assemble_task(task_of(recording, scale, now.key, changes))
-                    solver = assembly.method.solver
-                    solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
-                    assembly = replace(assembly, method=replace(assembly.method, solver=solver))
-                yield now, assembly
 
     done, followed, before = 0, None, None
     while done < len(keys):
-        with closing(_ahead(assemblies(_ahead(moments(keys[done:], followed))))) as steps:
+        with closing(_ahead(assembled(keys[done:], followed))) as steps:
             for now, assembly in steps:
                 solution = solve(assembly, _start(now, assembly, before), progress, white)
                 carried = replace(solution.diagnostics, motion_carried=now.carried is not None)

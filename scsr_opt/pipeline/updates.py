@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.ndimage import gaussian_filter
 
 from scsr_opt._kernels.device import on_device
+from scsr_opt._kernels.memory import give_memory_back
 from scsr_opt.calibration.gain import gain_is_known, spread_of
 from scsr_opt.motion.lamps import parts_by, parts_of
 from scsr_opt.pipeline.assembly import Assembly
@@ -86,6 +87,7 @@ class LightUpdate(Update):
         motion, path = assembly.motion, measured.path
         if task.estimator is not None:
             motion = task.estimate_motion(task.motion_frames(task.options.known_gain))
+            give_memory_back()
             path = task.trajectory(motion)
         measured = task.measure(motion, assembly.gain, path)
         scene = task.summarise(motion, measured, assembly.noise)
@@ -114,6 +116,7 @@ class GainUpdate(Update):
         assembly = _with_spread(assembly, spread_of(gain, known))
         if task.estimator is not None:  # motion was estimated with the pattern in, which rests
             motion = task.estimate_motion(task.motion_frames(gain))
+            give_memory_back()
             measured = task.measure(motion, None)
             known = gain_is_known(motion.moved(len(task.clip.spikes)), options.settings.gain)
             assembly = replace(assembly, motion=motion)

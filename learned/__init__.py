@@ -6,8 +6,13 @@ learned parts are also functions of this package: `learned.ridge_centred(spikes,
 """
 
 import functools
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
+
+if TYPE_CHECKING:
+    from learned.evaluation.stage_report import Comparison
+    from learned.zoo import Model
+    from scsr_opt.progress import Progress
 
 
 def load_model(model_id: str) -> Any:
@@ -17,11 +22,46 @@ def load_model(model_id: str) -> Any:
     return load_model(model_id)
 
 
-def compare_stages(*positional: Any, **options: Any) -> Any:
-    """`learned.evaluation.compare.compare_stages`: optimizers and networks side by side, stage by stage."""
+def compare_stages(
+    spikes: Any,
+    models: "Sequence[str | Model]",
+    *,
+    scale: SupportsIndex,
+    key: SupportsIndex | None = None,
+    truth: Any = None,
+    white_rate: SupportsFloat | None = None,
+    gain: Any = None,
+    strength: SupportsFloat | None = None,
+    costs: bool = True,
+    progress: "Progress | None" = None,
+) -> "Comparison":
+    """Optimizers and networks side by side, stage by stage, on one moment of a recording.
+
+        recording = scsr_opt.camera.read_recording("coins.npz")
+        truth = scsr_opt.report.read_picture("truth.tif")  # intensity, 1 = white; or None
+        compared = learned.compare_stages(recording, ["fista-huber", "unrolled"], scale=2, truth=truth)
+        print(compared.table())
+        compared.write("compared")  # a folder with stages.txt, stages.json and stages.png
+
+    `learned.evaluation.compare` says what the arguments are and what is measured; `costs=False` measures no seconds and
+    operations, and takes less time.
+
+    **Raises:** `InputError` if an argument cannot be used, or the recording holds no usable sample.
+    """
     from learned.evaluation.compare import compare_stages
 
-    return compare_stages(*positional, **options)
+    return compare_stages(
+        spikes,
+        models,
+        scale=scale,
+        key=key,
+        truth=truth,
+        white_rate=white_rate,
+        gain=gain,
+        strength=strength,
+        costs=costs,
+        progress=progress,
+    )
 
 
 @functools.cache

@@ -111,6 +111,20 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise InputError(f"Cannot write {path}: {_reason(error)}.") from error
 
 
+def made_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder `path`, made if it is not there; the one that is to hold it has to be.
+
+    **Raises:** `InputError` if it cannot be made.
+    """
+    refuse_url(path)
+    folder = as_path(path)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"Cannot make the folder {path}: {_reason(error)}.") from error
+    return folder
+
+
 def _target(path: str | os.PathLike[str]) -> Path:
     """The absolute path of the file that is to be there at last: `path`, or what it leads to as a symbolic link."""
     refuse_url(path)

@@ -7,7 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from scsr_opt._files import check_writable
-from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, check_outputs, key_frame, progress
+from scsr_opt.cli.options import File, Overwrite, Quiet, Reading, Whole, key_frame, progress
 from scsr_opt.errors import InputError
 
 
@@ -37,7 +37,17 @@ def compare(
     key: Annotated[Whole | None, Parameter(help="Frame to show, from 0. Default: the middle one.")] = None,
     truth: Annotated[
         Path | None,
-        Parameter(help="The true picture, linear and of the size of the result: adds PSNR and SSIM."),
+        Parameter(
+            help="The true picture, .png, .tif (8, 16 or 32 bits) or .npz, linear and of the size of the result: adds "
+            "PSNR and SSIM."
+        ),
+    ] = None,
+    strength: Annotated[
+        float | None,
+        Parameter(
+            help="Strength of the prior (lambda) of the shared problem. Default: by cross-validation on held-out "
+            "measurements."
+        ),
     ] = None,
     costs: Annotated[
         bool, Parameter(help="Measure seconds and FLOPs; for this, each stage of a network is compiled separately.")
@@ -58,6 +68,10 @@ def compare(
         raise InputError("--models names no model; give some with commas between, such as fista-tv,spikesr-small.")
     if scale < 1:
         raise InputError(f"--scale is {scale}, but it must be at least 1.")
+    if strength is not None:
+        from scsr_opt._validation import prior_strength
+
+        prior_strength(strength, "--strength")
     from learned.evaluation.stage_report import FILES
 
     _check_folder(output, [file, *([] if truth is None else [truth])], FILES, overwrite)
@@ -70,10 +84,10 @@ def compare(
 
     chosen = [model(name, scale) for name in names]
     known = None if truth is None else read_picture(truth)
+    meter = progress(quiet)
     compared = compare_stages(
-        recording, chosen, scale=scale, key=moment, truth=known, costs=costs, progress=progress(quiet)
+        recording, chosen, scale=scale, key=moment, truth=known, strength=strength, costs=costs, progress=meter
     )
-    output.mkdir(exist_ok=True)
     paths = compared.write(output)
     if not quiet:
         print("\n".join([compared.table(), *(str(path) for path in paths)]))
@@ -82,9 +96,15 @@ def compare(
 
 def _check_folder(output: Path, inputs: Sequence[Path | str], names: tuple[str, ...], overwrite: bool) -> None:
     """**Raises:** `InputError` if the outputs cannot be written there, or would replace a file that they may not."""
-    if output.is_dir():
-        check_outputs(inputs, overwrite, **{f"output/{name}": output / name for name in names})
-    elif output.exists():
-        raise InputError(f"--output {output} is a file; name a folder.")
-    else:
+    if not output.exists():
         check_writable(output)
+        return
+    if not output.is_dir():
+        raise InputError(f"--output {output} is a file; name a folder.")
+    for name in names:
+        path = output / name
+        check_writable(path)
+        if any(isinstance(read, Path) and read.is_file() and path.exists() and path.samefile(read) for read in inputs):
+            raise InputError(f"{path} is a file that is read: give --output another folder.")
+        if path.exists() and not overwrite:
+            raise InputError(f"--output {output} holds {name} already: give --overwrite, or another folder.")

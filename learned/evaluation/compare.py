@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Num
 from numpy.typing import ArrayLike
 
 from learned.evaluation.costs import Cost, cost
@@ -44,7 +44,7 @@ def compare_stages(
     *,
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
-    truth: Float[Any, "H W"] | None = None,
+    truth: Num[Any, "H W"] | None = None,
     white_rate: SupportsFloat | None = None,
     gain: ArrayLike | None = None,
     strength: SupportsFloat | None = None,
@@ -58,14 +58,17 @@ def compare_stages(
 
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`, `gain`, `strength`: as of `reconstruct`; gains of 1 if none are given.
-    - `models`: names (`learned.zoo`), paths of `.scsr` files, or models; each once.
-    - `truth`: (s·h, s·w), the picture of the key frame, intensity, where it is known.
+    - `models`: a list of names (`learned.zoo`), paths of `.scsr` files, or models; each once.
+    - `truth`: (s·h, s·w), the picture of the key frame, intensity (1 = white), where it is known;
+      `scsr_opt.report.read_picture` reads it from a file.
     - `costs`: whether seconds and FLOPs are measured, for which a network is compiled once for each of its stages.
     - `progress`: reports the models that are done.
 
     **Raises:** `InputError` if an argument cannot be used, or the recording holds no usable sample.
     """
     check_progress(progress)
+    if isinstance(models, str):
+        raise InputError(f"models is {models!r}; it must be a list of names, such as {models.split(',')}.")
     task = reference_task(spikes, scale=scale, key=key, white_rate=white_rate)
     known = None if truth is None else _truth(task, truth)
     chosen = [model(one, task.scale) if isinstance(one, str) else one for one in models]
@@ -119,11 +122,18 @@ def compare_stages(
     )
 
 
-def _truth(task: Task, truth: Float[Any, "H W"]) -> Float[np.ndarray, "H W"]:
-    picture = np.asarray(truth, np.float32)
+def _truth(task: Task, truth: Num[Any, "H W"]) -> Float[np.ndarray, "H W"]:
+    given = np.asarray(truth)
+    picture = given.astype(np.float32)
     if picture.shape != task.shape or not np.isfinite(picture).all():
         raise InputError(
             f"The truth has shape {picture.shape}; it must be finite and of the shape of the pictures, {task.shape}."
+        )
+    brightest = 1 / task.clip.white_rate  # a pixel that fires in every frame
+    if picture.mean() > brightest:
+        raise InputError(
+            f"The truth's mean is {picture.mean():.4g}, but no pixel can measure more than {brightest:.4g}: it must be "
+            f"intensity, 1 = white, as scsr_opt.report.read_picture reads it from a file of any number of bits."
         )
     return picture
 
@@ -199,8 +209,8 @@ class _Measure:
                     objective=data + prior,
                     data=data,
                     prior=prior,
-                    own_objective=stage.own,
-                    residual=math.sqrt(misfit) if math.isfinite(misfit) else math.nan,
+                    own=stage.own,
+                    misfit=math.sqrt(misfit) if math.isfinite(misfit) else math.nan,
                     **measures,
                     **self._judged(stage.image, number in shown),
                     seconds=math.nan if each is None else each.seconds,
@@ -227,9 +237,9 @@ class _Numbers(NamedTuple):
     descent at X^(t−1)."""
 
     distance: Float[Array, ""]
-    step: Float[Array, ""]
-    gradient_step_cosine: Float[Array, ""]
-    step_cosine: Float[Array, ""]
+    change: Float[Array, ""]
+    downhill_r: Float[Array, ""]
+    downhill_x: Float[Array, ""]
 
 
 @jax.jit

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from scsr_opt._files import whole_file
+from scsr_opt._files import made_folder, whole_file
 from scsr_opt.camera.recording import Recording
 from scsr_opt.report.figures import detailed_part
 from scsr_opt.report.summary import plain, versions
@@ -33,25 +33,25 @@ class StageMeasures:
     **Fields:**
     - `number`: t.
     - `objective`, `data`, `prior`: Eq. 4, halved, at X^(t); its data part f, and λΨ.
-    - `own_objective`: what the model itself makes small, at X^(t): with its own prior.
-    - `residual`: root of the weighted mean square by which X^(t) misses the samples, intensity.
+    - `own`: what the model itself makes small, at X^(t): with its own prior.
+    - `misfit`: root of the weighted mean square by which X^(t) misses the samples, intensity.
     - `distance`: ‖X^(t) − X*‖ / ‖X*‖, X* the optimizer's converged solution.
-    - `step`: ‖X^(t) − X^(t−1)‖ / ‖X^(t−1)‖.
-    - `gradient_step_cosine`, `step_cosine`: of R^(t) − X^(t−1), and of X^(t) − X^(t−1), with −∇f(X^(t−1)).
+    - `change`: ‖X^(t) − X^(t−1)‖ / ‖X^(t−1)‖.
+    - `downhill_r`, `downhill_x`: cosines of R^(t) − X^(t−1), and of X^(t) − X^(t−1), with −∇f(X^(t−1)).
     - `psnr` (dB), `ssim`: against the truth, 8 sensor pixels at the border left out; `ssim` of the stages shown only.
     - `seconds`, `flops`: from the start of the iteration to this stage, compiled; without what comes before it.
     """
 
     number: int
     objective: float
-    own_objective: float
+    own: float
     data: float
     prior: float
-    residual: float
+    misfit: float
     distance: float
-    step: float
-    gradient_step_cosine: float
-    step_cosine: float
+    change: float
+    downhill_r: float
+    downhill_x: float
     psnr: float
     ssim: float
     seconds: float
@@ -135,7 +135,7 @@ class Comparison:
         blocks = [one.stages for one in (*self.models, *self.hybrids)]
         columns = [one for one in _COLUMNS if any(math.isfinite(getattr(s, one.field)) for b in blocks for s in b)]
         for model in self.models:
-            before = "" if model.seconds_before is None else f"; {model.seconds_before:.2f} s before the first"
+            before = "" if model.seconds_before is None else f"; {model.seconds_before:.2g} s before the first"
             lines += ["", f"{model.name}: {_counted(model.stages)}; {model.minimises}{before}"]
             lines += _rows(model.stages, columns)
         for hybrid in self.hybrids:
@@ -224,11 +224,12 @@ class Comparison:
         return drawn
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Writes `stages.txt`, `stages.json` and `stages.png` into a folder that is there; returns their paths.
+        """Writes `stages.txt`, `stages.json` and `stages.png` into a folder, which is made if it is not there; returns
+        their paths.
 
         **Raises:** `InputError` if one cannot be written.
         """
-        paths = [Path(folder) / name for name in FILES]
+        paths = [made_folder(folder) / name for name in FILES]
         with ExitStack() as stack:  # all three, or none
             table, numbers, figure = (stack.enter_context(whole_file(path)) for path in paths)
             table.write_text(self.table(), encoding="utf-8")
@@ -270,15 +271,15 @@ class _Column(NamedTuple):
 _COLUMNS = (
     _Column("stage", "number", "d", 1.0, "an iteration of an optimizer, or a stage of a network"),
     _Column("objective", "objective", ".6g", 1.0, "data + lambda times Huber total variation; compares all models"),
-    _Column("own", "own_objective", ".6g", 1.0, "what the model's iterations minimise: with its own prior and, where "
+    _Column("own", "own", ".6g", 1.0, "what the model's iterations minimise: with its own prior and, where "
             "the scene moves during\na measurement, with an approximation of data that is renewed now and then"),
     _Column("data", "data", ".6g", 1.0, "half the weighted sum of squares by which the picture misses measurements"),
-    _Column("misfit", "residual", ".4f", 1.0, "root mean square of these misses, intensity (1 = white)"),
+    _Column("misfit", "misfit", ".4f", 1.0, "root mean square of these misses, intensity (1 = white)"),
     _Column("distance", "distance", ".4f", 1.0, "of the picture from the converged solution, relative to its norm"),
-    _Column("change", "step", ".1e", 1.0, "of the picture by this stage, relative to its norm"),
-    _Column("downhill-R", "gradient_step_cosine", ".3f", 1.0, "cosine between the stage's gradient step alone and the "
+    _Column("change", "change", ".1e", 1.0, "of the picture by this stage, relative to its norm"),
+    _Column("downhill-R", "downhill_r", ".3f", 1.0, "cosine between the stage's gradient step alone and the "
             "steepest descent of data; 1: straight down"),
-    _Column("downhill-X", "step_cosine", ".3f", 1.0, "the same of the whole stage, after the step of prior or network"),
+    _Column("downhill-X", "downhill_x", ".3f", 1.0, "the same of the whole stage, after the step of prior or network"),
     _Column("PSNR", "psnr", ".2f", 1.0, "against the truth, dB, without 8 sensor pixels at the border"),
     _Column("SSIM", "ssim", ".4f", 1.0, "structural similarity to the truth, at most 1, without that border"),
     _Column("seconds", "seconds", ".3g", 1.0, "since the first stage began, compiled"),

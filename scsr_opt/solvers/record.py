@@ -17,10 +17,7 @@ class Status(enum.Enum):
         "The iterations were used up before the tolerance was met; the picture is usable, more iterations would refine "
         "it."
     )
-    stages_done = (
-        "All stages of the network were run; a network has no tolerance to meet, its residual says how far its picture "
-        "is from the optimizer's."
-    )
+    stages_done = "All stages of the network were run; a network has no tolerance to meet."
     non_finite = "A value that is not finite appeared; the last finite picture is returned and should not be trusted."
     no_samples = (
         "The recording holds no usable sample (no pixel fired, all are marked bad, or what they saw has left the "

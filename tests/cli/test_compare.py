@@ -34,8 +34,10 @@ def asked(monkeypatch) -> list[dict]:
     """Puts a quick stand-in in the place of `compare_stages`; returns what it was called with."""
     calls: list[dict] = []
 
-    def stand_in(recording, chosen, *, scale, key, truth, costs, progress):
-        calls.append({"models": [one.name for one in chosen], "key": key, "truth": truth, "costs": costs})
+    def stand_in(recording, chosen, *, scale, key, truth, strength, costs, progress):
+        calls.append(
+            {"strength": strength, "models": [one.name for one in chosen], "key": key, "truth": truth, "costs": costs}
+        )
         progress.start(1, "comparing")
         progress.finish()
         image = np.full((scale * recording.height, scale * recording.width), 0.5, np.float32)
@@ -51,10 +53,10 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
     write_picture("right.npz", np.full((48, 80), 0.5, np.float32))
     said = scsr(
         "compare", file, "--models", f"fista-huber, {net},", "--scale", "2", "--output", "seen", "--key", "12",
-        "--truth", "right.npz", "--no-costs",
+        "--truth", "right.npz", "--strength", "2e-3", "--no-costs",
     )  # fmt: skip
     assert asked[0]["models"] == ["fista-huber", net] and asked[0]["key"] == 12 and asked[0]["costs"] is False
-    assert asked[0]["truth"].shape == (48, 80)
+    assert asked[0]["truth"].shape == (48, 80) and asked[0]["strength"] == 2e-3
     assert sorted(os.listdir("seen")) == sorted(FILES)
     table = (here / "seen" / "stages.txt").read_text()
     assert said.startswith(table) and said.splitlines()[-3:] == [f"seen/{name}" for name in FILES]
@@ -63,9 +65,11 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
     assert [row["name"] for row in told["models"]] == ["fista-huber", net]
 
     (here / "seen" / "stages.txt").write_text("the old one")
+    refused = scsr("compare", file, "--models", net, "--scale", "2", "-o", "seen", code=2)
+    assert "--output seen holds stages.txt already: give --overwrite, or another folder" in refused
     assert scsr("compare", file, "--models", net, "--scale", "2", "-o", "seen", "-q", "--overwrite") == ""
     assert "plain.scsr: 1 stage" in (here / "seen" / "stages.txt").read_text()
-    assert asked[1]["truth"] is None and asked[1]["key"] == 15 and asked[1]["costs"] is True
+    assert asked[1]["truth"] is asked[1]["strength"] is None and asked[1]["key"] == 15 and asked[1]["costs"] is True
 
 
 @pytest.mark.parametrize(
@@ -76,6 +80,7 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
         (["--models", " , "], "--models names no model"),
         (["--models", "ridge.scsr"], "The checkpoint ridge.scsr cannot be read: no such file"),
         (["--models", "ridge", "--scale", "0"], "--scale is 0"),
+        (["--models", "ridge", "--strength", "-1"], "--strength is -1"),
         (["--models", "ridge", "--key", "31"], "Key frame 31 is not in ramp"),
         (["--models", "ridge", "--truth", "small.npz"], "The truth has shape (3, 4)"),
         (["--models", "ridge", "--truth", "missing.png"], "missing.png"),
@@ -99,7 +104,9 @@ def test_compare_does_not_replace_what_it_reads(scsr, here, file):
     write_picture("seen/truth.png", np.zeros((48, 80), np.float32))
     os.rename("seen/truth.png", "seen/stages.png")
     said = scsr("compare", file, "--models", "ridge", "--output", "seen", "--truth", "seen/stages.png", code=2)
-    assert "seen/stages.png is the file that is read" in said and os.listdir("seen") == ["stages.png"]
+    assert "seen/stages.png is a file that is read: give --output another folder" in said and os.listdir("seen") == [
+        "stages.png"
+    ]
 
 
 def test_the_command_line_does_not_wait_for_the_networks():

@@ -1,6 +1,7 @@
 """Stage by stage: what is measured of known iterations, and how it is shown."""
 
 import dataclasses
+import inspect
 import json
 import math
 import os
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import learned
 from learned.evaluation import compare
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.costs import cost
@@ -59,9 +61,9 @@ def test_ista_goes_down_the_gradient(compared):
     ista = compared.models[0]
     assert [stage.number for stage in ista.stages] == list(range(1, len(ista.stages) + 1))
     for stage in ista.stages:
-        assert stage.gradient_step_cosine == pytest.approx(1, abs=1e-4)  # β∇f is far above the rounding of X
-        assert stage.step_cosine < stage.gradient_step_cosine  # the prior pulls elsewhere
-    own = [stage.own_objective for stage in ista.stages]
+        assert stage.downhill_r == pytest.approx(1, abs=1e-4)  # β∇f is far above the rounding of X
+        assert stage.downhill_x < stage.downhill_r  # the prior pulls elsewhere
+    own = [stage.own for stage in ista.stages]
     assert own[-1] < own[0]
 
 
@@ -71,9 +73,9 @@ def test_the_objective_is_the_solvers_own_where_the_prior_is_the_same(compared, 
     # half a last digit of the sum so far: a standard deviation of √n/6 last digits, three of which are allowed.
     rounding = 0.5 * posed.plain.target.size**0.5 * float(np.spacing(np.float32(0.5 * posed.plain.energy)))
     for stage in ista.stages:
-        assert stage.objective == pytest.approx(stage.own_objective, abs=rounding)
+        assert stage.objective == pytest.approx(stage.own, abs=rounding)
         assert stage.objective == pytest.approx(stage.data + stage.prior, rel=1e-6)
-    assert all(math.isnan(stage.own_objective) for stage in plain.stages)
+    assert all(math.isnan(stage.own) for stage in plain.stages)
 
 
 def test_the_converged_solution_is_the_end_of_the_scale(compared):
@@ -90,11 +92,11 @@ def test_residual_and_step_by_hand(compared, posed):
     placed, (step, image) = posed.placed, compared.models[1].pictures[2]
     missed = np.asarray(placed.read(posed.plain.blurred(jnp.asarray(image))) - placed.value, np.float64)
     stage = compared.models[1].stages[1]
-    assert stage.residual == pytest.approx(math.sqrt(np.average(missed**2, weights=placed.weight)), rel=1e-3)
+    assert stage.misfit == pytest.approx(math.sqrt(np.average(missed**2, weights=placed.weight)), rel=1e-3)
     before = compared.models[1].pictures[1][1]
-    assert stage.step == pytest.approx(np.linalg.norm(image - before) / np.linalg.norm(before), rel=1e-4)
+    assert stage.change == pytest.approx(np.linalg.norm(image - before) / np.linalg.norm(before), rel=1e-4)
     np.testing.assert_array_equal(step, image)
-    assert stage.step_cosine == stage.gradient_step_cosine == pytest.approx(1, abs=1e-4)
+    assert stage.downhill_x == stage.downhill_r == pytest.approx(1, abs=1e-4)
 
 
 def test_the_truth_has_no_error(compared, truth):
@@ -150,7 +152,7 @@ def test_json_has_all_stages_and_finite_numbers(compared):
     assert [len(row["stages"]) for row in content["models"]] == [len(row.stages) for row in compared.models]
     last = content["models"][0]["stages"][-1]
     assert last["psnr"] is None and last["objective"] == compared.models[0].stages[-1].objective
-    assert content["models"][1]["stages"][0]["own_objective"] is None
+    assert content["models"][1]["stages"][0]["own"] is None
     assert content["hybrids"][0]["iterations"] == compared.hybrids[0].iterations and content["scale"] == 2
 
 
@@ -203,9 +205,13 @@ def test_the_figure_has_a_row_a_model(compared):
 
 
 def test_files_are_whole_or_not_there(compared, tmp_path, monkeypatch):
-    assert [path.name for path in compared.write(tmp_path)] == ["stages.txt", "stages.json", "stages.png"]
-    assert sorted(os.listdir(tmp_path)) == ["stages.json", "stages.png", "stages.txt"]
-    assert (tmp_path / "stages.txt").read_text() == compared.table()
+    folder = tmp_path / "compared"
+    for _ in range(2):  # it is made, or there already
+        assert [path.name for path in compared.write(folder)] == ["stages.txt", "stages.json", "stages.png"]
+    assert sorted(os.listdir(folder)) == ["stages.json", "stages.png", "stages.txt"]
+    assert (folder / "stages.txt").read_text() == compared.table()
+    with pytest.raises(InputError, match="Cannot make the folder .*stages.txt: file exists"):
+        compared.write(folder / "stages.txt")
 
     def fail(_):
         raise RuntimeError("no figure today")
@@ -243,6 +249,9 @@ def test_what_cannot_be(recording, plain, monkeypatch):
             "Of the models to compare, fista-tv comes more than once: name each once",
         ),
         (["ridge"], {"truth": np.zeros((20, 24))}, r"The truth has shape \(20, 24\)"),
+        (["ridge"], {"truth": np.full((40, 48), 20_000, np.uint16)}, r"mean is 2e\+04.*more than 1\.667.*read_picture"),
+        (["ridge"], {"truth": np.full((40, 48), 100.0)}, "mean is 100"),
+        ("ista-tv,ridge", {}, r"it must be a list of names, such as \['ista-tv', 'ridge'\]"),
         (["ridge"], {"key": 41}, "key is 41"),
         ([plain], {"scale": 3}, "was trained for scale 2"),
     ):
@@ -254,3 +263,10 @@ def test_a_recording_of_darkness():
     with pytest.raises(InputError) as caught:
         compare_stages(np.zeros((41, 20, 24), np.uint8), ["fista-huber"], scale=2)
     assert str(caught.value) == Status.no_samples.message
+
+
+def test_the_door_takes_the_same_arguments():
+    door, inside = (inspect.signature(of).parameters for of in (learned.compare_stages, compare_stages))
+    assert list(door) == list(inside)
+    for name, parameter in inside.items():
+        assert (door[name].kind, door[name].default) == (parameter.kind, parameter.default), name

@@ -25,6 +25,7 @@ from scsr_opt.pipeline.options import Options
 from scsr_opt.pipeline.solution import Diagnostics, Solution
 from scsr_opt.pipeline.task import task_of
 from scsr_opt.pipeline.updates import CentreUpdate, GainUpdate, LightUpdate, MotionRefinement, solve_with_updates
+from scsr_opt.priors.centred import Centred
 from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.solvers.problem import Problem
 from scsr_opt.solvers.record import Status
@@ -122,14 +123,19 @@ def solve(
     assembly, found, stages, first = solve_with_updates(assembly, state, UPDATES)
     used = assembly.measurements.used_frames(assembly.task.clip.key)
     outcome, placed, clip = found.outcome, assembly.measurements.placed, assembly.task.clip
-    known = assembly.diagnostics
+    known, prior = assembly.diagnostics, assembly.method.prior
+    if first and isinstance(prior, Centred):
+        prior = prior.prior
     diagnostics: Diagnostics = replace(
         known,
         iterations=len(stages),
+        quality="best" if first else "fast",
         first_iterations=first or None,
+        centred_strength=assembly.strength if first else None,
         misfit_ratio=stages[-1].data / max(stages[first - 1].data, np.finfo(np.float32).tiny) if first else None,
         restored=assembly.restores if assembly.task.options.restores else None,
         solver=type(assembly.method.solver).__name__,
+        prior=type(prior).__name__,
         samples=int(np.count_nonzero(placed.weight)),
         positions=placed.finest,
         strength=assembly.strength if known.strength is None else known.strength,

@@ -29,7 +29,8 @@ class Diagnostics:
     """Numbers from a reconstruction, beside its picture; None where one does not apply.
 
     **Fields:**
-    - `iterations`, `solver` (its name), `strength` λ, `objective` (Eq. 4, halved, at the picture; of the last solve).
+    - `iterations`, `solver` and `prior` (the names of their classes), `strength` λ, `objective` (Eq. 4, halved, at the
+      picture; of the last solve).
     - `samples`: number of samples that were used. `positions`: largest number of positions along an exposure.
     - `speed_max`: largest speed, sensor pixels per frame. `saturated`: share of the pixels that fired in 90 % of the
       frames or more; at these the picture is a lower bound.
@@ -44,16 +45,19 @@ class Diagnostics:
       quantiles over the pixels.
     - `optics_sigma`: standard deviation of the estimated lens, sensor pixels.
     - `motion_carried`: in a sequence, whether the motion is that of the picture before, carried on.
-    - `first_iterations`: those of `iterations` that were made before Eq. 4 was solved again around a network's picture
-      (`Options.quality`); `strength` is the λ of these. `misfit_ratio`: f(X) of the picture over that of the first
-      solution; above 1 if the samples contradict the network's picture. `restored`: false if the picture with the
-      network predicted held-out samples worse than the one without it, which was solved for instead.
+    - `quality`: "best" where Eq. 4 was solved a second time, around a network's picture (`Options.quality`), otherwise
+      "fast". `restored`: None if "best" was not asked for; false if it was, but the picture with the network predicted
+      held-out samples worse than the one without it, which was solved for instead.
+    - Of the second solve: `first_iterations`, those of `iterations` that were made before it; `centred_strength`, its λ
+      (`strength` is that of the first solve); `misfit_ratio`: f(X) of the picture over that of the first solution,
+      above 1 if the samples contradict the network's picture.
     - `seconds`: time of each part of the work.
     """
 
     iterations: int = 0
     samples: int = 0
     solver: str | None = None
+    prior: str | None = None
     positions: int | None = None
     strength: float | None = None
     objective: float | None = None
@@ -68,9 +72,11 @@ class Diagnostics:
     used_frames: tuple[float, float, float] | None = None
     optics_sigma: float | None = None
     motion_carried: bool | None = None
-    first_iterations: int | None = None
-    misfit_ratio: float | None = None
+    quality: str | None = None
     restored: bool | None = None
+    first_iterations: int | None = None
+    centred_strength: float | None = None
+    misfit_ratio: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
 

@@ -347,12 +347,16 @@ def _convergence(drawn: Figure, solution: Solution, x: float, y: float, wide: fl
     each = (tall - 1.5 * _TITLE) / 2
     upper = _axes(drawn, x, y, wide, each)
     _curve(upper, number, [stage.objective for stage in stages])
-    ending = solution.status.name.replace("_", " ")
-    upper.set_title(f"Objective: {len(stages)} iterations, {ending}", loc="left", fontsize=10)
+    ending, first = solution.status.name.replace("_", " "), solution.diagnostics.first_iterations
+    again = "" if first is None else f"; after {first} a network's picture"
+    upper.set_title(f"Objective: {len(stages)} iterations, {ending}{again}", loc="left", fontsize=10)
     upper.tick_params(labelbottom=False)
     lower = _axes(drawn, x, y + tall - each, wide, each)
     _curve(lower, number, [stage.residual for stage in stages])
     lower.set_title("Relative residual", loc="left", fontsize=10)
+    if first is not None:
+        for axes in (upper, lower):
+            axes.axvline(first + 0.5, color=_ACCENT, linewidth=0.8, linestyle="--")
     lower.set_xlabel("iteration")
 
 

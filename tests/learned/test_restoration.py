@@ -178,6 +178,9 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     assert {"solving", "restoring"} <= set(found.diagnostics.seconds)
     assert found.diagnostics.strength == first.diagnostics.strength
+    assert found.diagnostics.centred_strength == pytest.approx(2 * found.diagnostics.strength)
+    assert (found.diagnostics.quality, first.diagnostics.quality) == ("best", "fast")
+    assert found.diagnostics.prior == first.diagnostics.prior == "RidgeRegulariser"
     # What was held back by the prior is not paid for twice: the picture comes nearer to the data.
     assert found.diagnostics.misfit_ratio == found.stages[-1].data / found.stages[count - 1].data < 1
     assert any(line.startswith("Quality: best") for line in found.report().lines())

@@ -72,15 +72,18 @@ def test_lines_for_a_reader(report):
     assert report.lines() == [
         "street: 31 frames of 40x24, key frame 15 -> 160x96 (x4)",
         "Motion: 0.1 sensor pixels per frame in the mean, 0.2 at most.",
-        "12 iterations in 1.2 s. The picture meets the tolerance.",
+        "12 iterations. The picture meets the tolerance. 1.2 s in all.",
     ]
 
 
 @pytest.mark.parametrize(
     "used, expected",
     [
-        ((20.0, 35.2, 50.0), "Time: up to 35 frames before and after the key frame are used; 20 to 50 in nine tenths"),
-        ((49.6, 50.0, 50.2), "Time: up to 50 frames before and after the key frame are used."),
+        (
+            (20.0, 35.2, 50.0),
+            "Time: 35 frames before and after the key frame are used in the median pixel, 20 to 50 in nine tenths",
+        ),
+        ((49.6, 50.0, 50.2), "Time: 50 frames before and after the key frame are used."),
     ],
 )
 def test_lines_say_how_far_in_time_samples_were_used(report, used, expected):
@@ -139,3 +142,39 @@ def test_plain_takes_anything():
 
 def test_versions_names_what_matters():
     assert {"python", "scsr-opt", "jax", "numpy"} <= versions().keys()
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        ({"quality": "fast"}, []),
+        (
+            {"quality": "fast", "restored": False},
+            [
+                "Quality: fast instead of best. The network's picture predicted held-out measurements worse than the "
+                "usual picture does, so it was not used."
+            ],
+        ),
+        (
+            {"quality": "best", "restored": True, "misfit_ratio": 1.0004},
+            [
+                "Quality: best. A network improved the picture, and a second solve made it agree with the "
+                "measurements. The result fits the measurements as well as the picture before (misfit 1.000 times that "
+                "before)."
+            ],
+        ),
+        (
+            {"quality": "best", "restored": True, "misfit_ratio": 1.16},
+            [
+                "Quality: best. A network improved the picture, and a second solve made it agree with the "
+                "measurements. The measurements contradict the network's picture; compare with the quality fast "
+                "(misfit 1.160 times that before)."
+            ],
+        ),
+    ],
+)
+def test_lines_say_what_a_network_did(solution, found, said):
+    changed = dataclasses.replace(solution, diagnostics=dataclasses.replace(solution.diagnostics, **found))
+    report = changed.report()
+    assert [line for line in report.lines() if line.startswith("Quality")] == said
+    assert str(report) == "\n".join(report.lines())

@@ -220,7 +220,8 @@ def _lines(output: Path, done: "scsr_opt.sequences.Written", keys: range, second
     asked, new = len(keys), len(keys) - done.there
     written = asked - len(done.failed)
     frames = f"frames {keys[0]} to {keys[-1]}, every {keys.step}" if asked > 1 else f"frame {keys[0]}"
-    lines = [f"{output}: {_counted(asked)} asked for, of {frames}; {written} written."]
+    has = f"{written} of {_counted(asked)}" if written < asked else _counted(asked)
+    lines = [f"{output} has {has}, of {frames}."]
     if new:
         lines.append(f"{_counted(new).capitalize()} solved for, {seconds / new:.2g} s each.")
     if done.there:

@@ -116,8 +116,8 @@ class Plan:
             around = recording.window(max(0, key - before), min(recording.frames, key + before + 1))
             digest.update(np.packbits(around).tobytes())
         return {
-            "start": self.keys[0],
-            "stop": self.keys[-1] + 1,
+            "first_key": self.keys[0],
+            "last_key": self.keys[-1],
             "every": self.keys.step,
             "scale": self.scale,
             "group": self.group,

@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     import zarr
 
 _SPIKES = "spikes is "
+_IN_WORDS = {
+    "first_key": "the first key frame",
+    "last_key": "the last key frame",
+    "every": "the number of frames from one key frame to the next",
+}
 
 
 class Picture(NamedTuple):
@@ -54,7 +59,7 @@ class SequenceStore:
         self._opened: dict[str, zarr.Array] = {}
         self._attributes = json.loads(metadata)["attributes"]["scsr"]
         sequence = self._attributes["sequence"]
-        self.keys = range(sequence["start"], sequence["stop"], sequence["every"])
+        self.keys = range(sequence["first_key"], sequence["last_key"] + 1, sequence["every"])
         self.scale, self.group = whole(sequence["scale"], "scale", 1), whole(sequence["group"], "group", 1)
         self.readout_rate = positive("The store", "readout_rate", sequence["recording"]["readout_rate"])
         self.white = White(**self._attributes["white"])
@@ -302,4 +307,7 @@ def _said(error: Exception) -> str:
 
 
 def _reworded(clause: str) -> str:
-    return "it is of another recording" if clause.startswith(_SPIKES) else clause
+    if clause.startswith(_SPIKES):
+        return "it is of another recording"
+    name, said = clause.split(" ", 1)
+    return f"{_IN_WORDS.get(name, name)} {said}"

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("sequences")
 
 def test_sequence_of_one_picture_is_spoken_of_as_one(scsr, file):
     said = scsr("sequence", file, "-o", "a.gif", "--scale", "2", "--start", "4", "--stop", "5").splitlines()
-    assert said[0] == "a.gif: 1 picture asked for, of frame 4; 1 written."
+    assert said[0] == "a.gif has 1 picture, of frame 4."
     assert said[1].startswith("1 picture solved for, ")
     assert said[2] == "Motion was estimated once, at frame 4."
 
@@ -27,7 +27,7 @@ def test_sequence_of_one_picture_is_spoken_of_as_one(scsr, file):
 def test_sequence_film_says_where_motion_was_found_anew_and_how_slow_it_is(scsr, here, file, sequences):
     given = ("--scale", "2", "--start", "4", "--stop", "12", "--every", "2", "--rate", "10")
     said = scsr("sequence", file, "-o", "a.gif", *given).splitlines()
-    assert said[0] == "a.gif: 4 pictures asked for, of frames 4 to 10, every 2; 4 written."
+    assert said[0] == "a.gif has 4 pictures, of frames 4 to 10, every 2."
     assert said[2] == "Motion was estimated 2 times, at frames 4, 8, and carried on between."
     assert said[-1] == "1 s of the film is 500 µs of the recording."
     with Image.open("a.gif") as film:
@@ -59,7 +59,7 @@ def test_sequence_that_is_there_is_said_to_be(scsr, file, sequences):
     del sequences[:]
     said = scsr(*given).splitlines()
     assert said[:2] == [
-        "a.zarr: 4 pictures asked for, of frames 0 to 30, every 10; 4 written.",
+        "a.zarr has 4 pictures, of frames 0 to 30, every 10.",
         "4 pictures had been there before.",
     ]
     assert sequences == []

@@ -234,9 +234,9 @@ def other_plan(recording: Recording, which: str) -> tuple[Plan, str]:
 
     plans: dict[str, tuple[Callable[[], Plan], str]] = {
         "scale": (lambda: made(scale=3), "scale is 2 there and 3 here"),
-        "start": (lambda: made(range(7, 40, 4)), "start is 3 there and 7 here"),
-        "stop": (lambda: made(range(3, 36, 4)), "stop is 40 there and 36 here"),
-        "every": (lambda: made(range(3, 40, 2)), "every is 4 there and 2 here"),
+        "start": (lambda: made(range(7, 40, 4)), "the first key frame is 3 there and 7 here"),
+        "stop": (lambda: made(range(3, 36, 4)), "the last key frame is 39 there and 35 here"),
+        "every": (lambda: made(range(3, 40, 2)), "one key frame to the next is 4 there and 2 here"),
         "group": (lambda: made(group=5), "group is 4 there and 5 here"),
         "white": (lambda: made(white=0.5), "white is None there and 0.5 here"),
         "frames": (lambda: made(frames=13), "frames is 11 there and 13 here"),

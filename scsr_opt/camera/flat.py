@@ -74,9 +74,9 @@ def find_size(path: Path, size: Any = None) -> tuple[int, int]:
         )
     if not known:
         raise InputError(
-            f"The size of the frames in {path} is not known, a .dat file does not hold it: pass size='WIDTHxHEIGHT' "
-            f"(the usual sensor is 400x250), or have it in the file's name, or put a SpikeCV config.yaml with spike_w "
-            f"and spike_h beside it."
+            f"The size of the frames in {path} is not known, a .dat file does not hold it: give it (on the command "
+            f"line --size WIDTHxHEIGHT, in Python size='WIDTHxHEIGHT'; the usual sensor is 400x250), or have it in the "
+            f"file's name, or put a SpikeCV config.yaml with spike_w and spike_h beside it."
         )
     return next(iter(known))
 

@@ -7,11 +7,11 @@ is then validated and the gains are estimated, and both are carried on together 
 prior's dual variables are moved along, and the solve starts from these, or from playback where there were few samples.
 """
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
-from typing import Any, NamedTuple, SupportsIndex, TypeVar
+from typing import Any, NamedTuple, SupportsIndex
 
 import equinox as eqx
 import jax
@@ -40,10 +40,6 @@ from scsr_opt.pipeline.settings import SequenceSettings
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.pipeline.task import Task, task_of
 from scsr_opt.progress import Progress, check_progress
-
-# Marks the end of the items of a generator.
-_END: Any = object()
-Item = TypeVar("Item")
 
 
 def reconstruct_sequence(
@@ -178,38 +174,36 @@ def _pictures(
     options, white = common(recording, keys, scale, options)
     settings = options.settings.sequence
 
-    def assembled(
-        wanted: Iterable[SupportsIndex], followed: _Followed | None
-    ) -> Generator[tuple[_Moment, Assembly], None, None]:
-        """Motion and problem at each key frame."""
-        for key in wanted:
-            task = task_of(recording, scale, key, options)
-            frames = task.motion_frames(task.options.known_gain)
-            motion = None if followed is None else _carried(followed, frames, task)
-            if followed is None or motion is None:
-                assembly = assemble_task(task)
-                kept = _kept_options(task.options, assembly.gain, assembly.strength, assembly.restores)
-                share = _contradicted(frames, assembly.motion, task)
-                followed = _Followed(assembly.motion, task.clip.key_frame, share, kept)
-            else:
-                changes = Options.of(options, {"motion": motion, **followed.options})
-                assembly = assemble_task(task_of(recording, scale, task.clip.key_frame, changes))
-                solver = assembly.method.solver
-                solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
-                assembly = replace(assembly, method=replace(assembly.method, solver=solver))
-            yield _Moment(task, frames, motion, followed), assembly
+    def assembled(key: SupportsIndex, followed: _Followed | None) -> tuple[_Moment, Assembly]:
+        """Motion and problem at a key frame."""
+        task = task_of(recording, scale, key, options)
+        frames = task.motion_frames(task.options.known_gain)
+        motion = None if followed is None else _carried(followed, frames, task)
+        if followed is None or motion is None:
+            assembly = assemble_task(task)
+            kept = _kept_options(task.options, assembly.gain, assembly.strength, assembly.restores)
+            share = _contradicted(frames, assembly.motion, task)
+            followed = _Followed(assembly.motion, task.clip.key_frame, share, kept)
+        else:
+            changes = Options.of(options, {"motion": motion, **followed.options})
+            assembly = assemble_task(task_of(recording, scale, task.clip.key_frame, changes))
+            solver = assembly.method.solver
+            solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
+            assembly = replace(assembly, method=replace(assembly.method, solver=solver))
+        return _Moment(task, frames, motion, followed), assembly
 
     done, followed, before = 0, None, None
     while done < len(keys):
-        with closing(_ahead(assembled(keys[done:], followed))) as steps:
+        with closing(_ahead(assembled, keys[done:], followed)) as steps:
             for now, assembly in steps:
                 solution = solve(assembly, _start(now, assembly, before), progress, white)
+                del assembly  # a third of a gigabyte for 400×250 pixels, which the next picture may need
                 carried = replace(solution.diagnostics, motion_carried=now.carried is not None)
                 solution = replace(solution, diagnostics=carried)
                 followed = now.followed
                 if not solution.status.usable or solution.motion is None:
                     followed = None
-                elif now.carried is None and solution.motion is not assembly.motion:
+                elif now.carried is None and solution.motion is not followed.motion:
                     known = solution.diagnostics
                     kept = _kept_options(now.task.options, solution.gain, known.strength, known.restored is True)
                     share = _contradicted(now.frames, solution.motion, now.task)
@@ -221,13 +215,20 @@ def _pictures(
                     break  # the pictures that were begun follow another motion
 
 
-def _ahead(items: Generator[Item, None, None]) -> Generator[Item, None, None]:
-    """The items, each made in a thread while the one before it is used."""
-    with closing(items), ThreadPoolExecutor(1) as beside:
-        task = beside.submit(next, items, _END)
-        while (item := task.result()) is not _END:
-            task = beside.submit(next, items, _END)
-            yield item
+def _ahead(
+    assembled: Callable[[SupportsIndex, _Followed | None], tuple[_Moment, Assembly]],
+    keys: Sequence[SupportsIndex],
+    followed: _Followed | None,
+) -> Generator[tuple[_Moment, Assembly], None, None]:
+    """Motion and problem at each key frame, each made in a thread while the one before it is used. Nothing here holds
+    on to what was used."""
+    with ThreadPoolExecutor(1) as beside:
+        task = beside.submit(assembled, keys[0], followed)
+        for following in keys[1:]:
+            task, made = beside.submit(assembled, following, task.result()[0].followed), task
+            yield made.result()
+            del made
+        yield task.result()
 
 
 def _start(now: _Moment, assembly: Assembly, before: tuple[int, Solution] | None) -> Any:

@@ -225,15 +225,15 @@ def page(file: str, scale: int, every: int) -> str:
         read=bytes_of_frames(keys, shape),
         written=own.written * _LARGE**2 / np.prod(sensor),
     )
-    size = "×".join(str(length) for length in reversed(sensor))
+    size, handed = "×".join(str(length) for length in reversed(sensor)), f"{1e3 * own.handing_out:.1f}"
     costs = table(
         ["", f"{size}, ×{scale}", f"{_LARGE}×{_LARGE}, ×{scale}"],
         [
             ["pictures per second of a core", *(f"{_GROUP / one.group:.3f}" for one in (own, large))],
             ["read for a picture, MB", *(f"{one.read / _GROUP / 1e6:.1f}" for one in (own, large))],
             ["written for a picture, MB", *(f"{one.written / 1e6:.1f}" for one in (own, large))],
-            ["until a worker works, s", f"{own.start:.1f}", "the same is taken"],
-            ["scheduler for a group, ms", f"{1e3 * own.handing_out:.1f}", "the same"],
+            ["until a worker works, s", f"{own.start:.1f}", f"not measured; {own.start:.1f} in the simulation"],
+            ["scheduler for a group, ms", handed, f"not measured; {handed} in the simulation"],
         ],
     )
     rows = []

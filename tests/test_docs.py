@@ -1,5 +1,5 @@
-"""The examples of README.md, docs/howto.md and docs/extending.md run as they stand, and the commands of
-docs/sequences.md."""
+"""The examples of README.md and the pages how-to, formats and extending run as they stand, and the commands of README.md
+and the pages how-to and sequences."""
 
 import re
 import shlex
@@ -40,11 +40,12 @@ def car(tmp_path, monkeypatch) -> None:
     [
         ("README.md", {"car.png", "car_figure.png"}),
         ("docs/howto.md", {"car.png", "car.json", "wipe.html", "crops.png", "motion.png"}),
+        ("docs/formats.md", {"mine_120x80.dat"}),
     ],
 )
 def test_code_runs(page, files, car, tmp_path):
     code = examples(page)
-    assert "400x250" in code
+    assert code
     exec(compile(code.replace("400x250", "32x24"), page, "exec"), {"__name__": "page"})
     assert files <= {path.name for path in tmp_path.iterdir()}
 

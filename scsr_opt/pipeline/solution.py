@@ -39,8 +39,8 @@ class Diagnostics:
     - `bad_pixels`: number of pixels that were left out, by kind (`PixelKind`): given, dead, hot, isolated, resting.
     - `light_depth`: amplitude of the light, relative to its mean; None if it does not change.
       `light_frequency`: Hz; None if the light is not periodic.
-      `light_unexplained`: share of the sensor whose brightness changes together with its surroundings, which neither
-      the motion nor the light explain: shadows, reflections.
+      `light_unexplained`: share of the tiles that were examined, 64 at most, whose brightness changes as in the tiles
+      beside them, which neither the motion nor the light explains: shadows, reflections.
     - `used_frames`: frames before and after the key frame within which samples were used: the 5 %, 50 % and 95 %
       quantiles over the pixels.
     - `optics_sigma`: standard deviation of the estimated lens, sensor pixels.

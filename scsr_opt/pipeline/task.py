@@ -85,7 +85,7 @@ class Task:
         return replace(self, clip=self.clip._replace(light=light))
 
     def light_unexplained(self, motion: Motion, frames: MotionFrames | None) -> float:
-        """Share of the sensor whose brightness changes for no reason that was found (`unexplained_share`)."""
+        """Share of the examined tiles whose brightness changes for no reason that was found (`unexplained_share`)."""
         if not self.found_light.suspected.any():
             return 0.0
         frames = self.motion_frames(self.options.known_gain) if frames is None else frames

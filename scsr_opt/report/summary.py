@@ -20,7 +20,7 @@ from scsr_opt.pipeline.solution import Solution
 from scsr_opt.solvers.record import Stage
 
 UNEXPLAINED_SHARE = 0.1
-"""Share of the sensor whose brightness changes for no reason that was found, from which on a reader is told."""
+"""`Diagnostics.light_unexplained` from which on a reader is told."""
 CONTRADICTED = 1.05
 """Misfit of the picture of `quality="best"` over that of the first solution, above which a reader is told that the
 measurements contradict the network's picture. Of 150 recordings that were made to fool the network, only some with dead
@@ -218,8 +218,8 @@ def _of_light(found: Mapping[str, Any]) -> list[str]:
         lines.append(f"Light: flickers{at}, by {100 * found['light_depth']:.0f} % of its mean either way.")
     if (found["light_unexplained"] or 0) >= UNEXPLAINED_SHARE:
         lines.append(
-            f"Light: brightness changes on {100 * found['light_unexplained']:.0f} % of the sensor as neither motion "
-            f"nor flicker explain, such as by shadows or reflections; the picture may be wrong there."
+            f"Light: brightness changes on about {100 * found['light_unexplained']:.0f} % of the sensor as neither "
+            f"motion nor flicker explains, such as by shadows or reflections; the picture may be wrong there."
         )
     return lines
 

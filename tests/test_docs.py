@@ -1,5 +1,5 @@
-"""The examples of README.md and the pages how-to, formats and extending run as they stand, and the commands of README.md
-and the pages how-to and sequences."""
+"""The examples of README.md and the pages how-to, formats and extending run as they stand, and the commands of
+README.md and the pages how-to and sequences."""
 
 import re
 import shlex

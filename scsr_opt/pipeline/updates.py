@@ -4,6 +4,9 @@ centred at, from the picture so far.
 `solve_with_updates` solves, applies an update, and solves again from there. Two more updates happen within a solve, as
 they need no more than its picture: corrections for the motion during exposures, and weights of a robust loss
 (`scsr_opt.pipeline.outer_loop`).
+
+An update that measures anew lets the measurements before go first (`Measurements.let_go`): at 400×250 pixels they hold
+a quarter of a gigabyte, which callers would keep until the end.
 """
 
 import abc
@@ -81,6 +84,7 @@ class LightUpdate(Update):
         predicted, weight = (np.asarray(of)[: samples.row.size] for of in (placed.read(found.blurred), placed.weight))
         if assembly.gain is not None:
             predicted = predicted * assembly.gain[samples.row, samples.column]
+        measured.let_go()
         parts = parts_by(light, parts, samples, predicted, weight, settings)
         light = replace(light, share=parts.share[:, parts.number])
         task = replace(task, clip=task.clip._replace(light=light))
@@ -115,6 +119,7 @@ class GainUpdate(Update):
         gain = self._gain(assembly, found, measured, at_rest=assembly.gain_at_rest)
         assembly = _with_spread(assembly, spread_of(gain, known))
         if task.estimator is not None:  # motion was estimated with the pattern in, which rests
+            measured.let_go()
             motion = task.estimate_motion(task.motion_frames(gain))
             give_memory_back()
             measured = task.measure(motion, None)
@@ -171,6 +176,7 @@ class MotionRefinement(Update):
         task, motion, before = assembly.task, assembly.motion, assembly.measurements
         settings = task.options.settings.refinement
         refined = refine(motion, found.blurred, before.padded, before.placed, key=task.clip.key, settings=settings)
+        before.let_go()
         motion = replace(refined, trust=motion.trust, reach=motion.reach)  # as reliable as the motion that was refined
         gain, finds_gain = assembly.gain, task.options.finds_gain
         measured = task.measure(motion, None if finds_gain else gain)

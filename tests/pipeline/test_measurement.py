@@ -194,3 +194,15 @@ def test_used_frames_are_those_before_and_after_the_key_frame_whose_samples_have
         sampling=Intervals(ends=0),
     )  # fmt: skip
     assert not dark.used_frames(32).any()
+
+
+def test_measurements_that_are_let_go_cannot_be_read(spikes):
+    taken = measurements(spikes, 0.09)
+    gains = taken.with_gain(np.ones((HEIGHT, WIDTH)), np.ones((HEIGHT, WIDTH), bool), 0.01)
+    picture = np.zeros(taken.placed.shape, np.float32)
+    taken.placed.read(picture)
+    taken.let_go()
+    for gone in (taken, gains):  # they share their places
+        with pytest.raises(RuntimeError, match="deleted"):
+            gone.placed.read(picture)
+    assert taken.samples.row.size > 0 and np.isfinite(taken.used_frames(10)).all()

@@ -60,7 +60,7 @@ def main() -> None:
             made = turning(scale, *options.sensor)
             chosen = options.models or names(scale)
             print(f"\n×{scale}, {options.sensor[1]}×{options.sensor[0]} sensor pixels:\n")
-            head = ["model", "seconds", "over `reconstruct`", "PSNR, dB", "SSIM"]
+            head = ["model", "seconds", "time relative to `reconstruct`", "PSNR, dB", "SSIM"]
             print(table(head, rows(made, chosen, options.rounds)))
     except InputError as error:
         parser.error(str(error))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
 
 if TYPE_CHECKING:
     from learned.evaluation.stage_report import Comparison
-    from learned.zoo import Model
+    from learned.zoo import LoadedModel, Model
     from scsr_opt.progress import Progress
 
 
@@ -24,7 +24,7 @@ def load_model(model_id: str) -> Any:
 
 def compare_stages(
     spikes: Any,
-    models: "Sequence[str | Model]",
+    models: "Sequence[str | Model | LoadedModel]",
     *,
     scale: SupportsIndex,
     key: SupportsIndex | None = None,

@@ -315,9 +315,13 @@ def model(name: str, scale: int) -> Model:
         check_stages(network.net, network.card)  # reads the file, too
         return network
     if name not in NETWORKS:
+        short, _, scale_of_id = name.rpartition("-x")
+        id_of = scale_of_id.isdecimal() and short in (*OPTIMIZERS, *NETWORKS)
+        hint = f"leave -x{scale_of_id} out, as the scale is given apart" if id_of else ""
         raise InputError(
-            f"There is no model {name!r}: take one of {', '.join((*OPTIMIZERS, *NETWORKS))}, or the path of a .scsr "
-            f"file."
+            f"There is no model {name!r}: "
+            + (hint or f"take one of {', '.join((*OPTIMIZERS, *NETWORKS))}, or the path of a .scsr file")
+            + "."
         )
     path = _weights(name, scale)
     if not path.is_file():

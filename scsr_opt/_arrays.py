@@ -1,10 +1,11 @@
 """Arrays of users, read in one place: a mask is never ignored, and an array that cannot be read is named."""
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 
 if TYPE_CHECKING:
     import jax
@@ -16,8 +17,13 @@ def as_array(value: Any, name: str) -> np.ndarray:
     **Arguments:** `value`: anything that NumPy makes an array of; `name`: of it in errors.
 
     **Raises:** `InputError` if it is a masked array (or a list of some), whose mask would be ignored, a list whose
-    parts differ in length, or something that NumPy cannot read, such as a tensor on another device.
+    parts differ in length, a path, or something that NumPy cannot read, such as a tensor on another device.
     """
+    if isinstance(value, str | bytes | os.PathLike):
+        raise InputError(
+            f"{name} is {shown(value)}, but it must be an array. If that is a file, read it first: a recording by "
+            f"scsr_opt.camera.read_recording, a picture by scsr_opt.report.read_picture, an .npy file by numpy.load."
+        )
     if _masked(value):
         raise InputError(
             f"{name} is a masked array, whose mask would be ignored; give array.filled(value), and mark pixels that "

@@ -45,8 +45,9 @@ def compare(
     strength: Annotated[
         float | None,
         Parameter(
-            help="Strength of the prior (lambda) of the shared problem. Default: by cross-validation on held-out "
-            "measurements."
+            help="Strength (lambda) of total variation in the shared problem; other priors take it times their "
+            "relative strength. Default: by cross-validation on held-out measurements. scsr solve finds that of each "
+            "prior anew."
         ),
     ] = None,
     costs: Annotated[

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num
+from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from learned.evaluation.costs import Cost, cost
@@ -24,9 +24,10 @@ from learned.evaluation.inference import Run, sparing
 from learned.evaluation.reference_problem import PRIOR, ReferenceProblem, read, reference_problem, reference_task
 from learned.evaluation.stage_report import SHARED, Comparison, Hybrid, ModelStages, StageMeasures, shown_stages
 from learned.training.validation import border_of, psnr, quality
-from learned.zoo import Model, Network, Optimizer, model
+from learned.zoo import LoadedModel, Model, Network, Optimizer, model
+from scsr_opt._arrays import as_array
 from scsr_opt.camera.recording import Recording
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.pipeline.task import Task
 from scsr_opt.progress import NoProgress, Progress, check_progress
@@ -36,15 +37,19 @@ from scsr_opt.solvers.record import Status
 # Solver of the reference solution, and the solver that starts at a network's picture.
 _CONVERGED = Optimizer("fista-huber", PRIOR, FISTA(iterations=2000, tolerance=1e-6))
 _ORDINARY = Optimizer("fista-huber", PRIOR, FISTA())
+# Largest ratio of the means of a true picture and of the recording's light. Pictures in other units are further off:
+# numbers of an 8-bit file by 255, and by 1/257 if these are read as numbers of 16 bits. What moves into the picture,
+# and a white rate that is not quite right, change it less.
+_TRUTH_RATIO = 8.0
 
 
 def compare_stages(
     spikes: ArrayLike | Recording,
-    models: Sequence[str | Model],
+    models: Sequence[str | Model | LoadedModel],
     *,
     scale: SupportsIndex,
     key: SupportsIndex | None = None,
-    truth: Num[Any, "H W"] | None = None,
+    truth: ArrayLike | None = None,
     white_rate: SupportsFloat | None = None,
     gain: ArrayLike | None = None,
     strength: SupportsFloat | None = None,
@@ -53,12 +58,13 @@ def compare_stages(
 ) -> Comparison:
     """Every stage of every model on one recording, and each kind of model started at the other's picture.
 
-    Optimizers use the λ of the shared problem, times the relative strength of their prior. They keep both pictures of
-    each iteration until these are measured, 8 bytes a pixel and iteration.
+    Optimizers use the λ of the shared problem, which is found for Huber-TV, times the relative strength of their prior;
+    `reconstruct` finds the λ of each prior anew, which may give a better picture. Optimizers keep both pictures of each
+    iteration until these are measured, 8 bytes a pixel and iteration.
 
     **Arguments:**
     - `spikes`, `scale`, `key`, `white_rate`, `gain`, `strength`: as of `reconstruct`; gains of 1 if none are given.
-    - `models`: a list of names (`learned.zoo`), paths of `.scsr` files, or models; each once.
+    - `models`: a list of names (`learned.zoo`), paths of `.scsr` files, or models (also of `load_model`); each once.
     - `truth`: (s·h, s·w), the picture of the key frame, intensity (1 = white), where it is known;
       `scsr_opt.report.read_picture` reads it from a file.
     - `costs`: whether seconds and FLOPs are measured, for which a network is compiled once for each of its stages.
@@ -71,7 +77,7 @@ def compare_stages(
         raise InputError(f"models is {models!r}; it must be a list of names, such as {models.split(',')}.")
     task = reference_task(spikes, scale=scale, key=key, white_rate=white_rate)
     known = None if truth is None else _truth(task, truth)
-    chosen = [model(one, task.scale) if isinstance(one, str) else one for one in models]
+    chosen = [_model(one, task.scale) for one in models]
     if not chosen:
         raise InputError("There is nothing to compare: name at least one model.")
     number = Counter(one.name for one in chosen)
@@ -122,18 +128,30 @@ def compare_stages(
     )
 
 
-def _truth(task: Task, truth: Num[Any, "H W"]) -> Float[np.ndarray, "H W"]:
-    given = np.asarray(truth)
-    picture = given.astype(np.float32)
-    if picture.shape != task.shape or not np.isfinite(picture).all():
+def _model(one: Any, scale: int) -> Model:
+    """**Raises:** `InputError` if it is neither a model nor the name of one."""
+    known = model(one, scale) if isinstance(one, str) else one.model if isinstance(one, LoadedModel) else one
+    if not isinstance(known, Optimizer | Network):
+        raise InputError(f"models holds {shown(one)}; give names of models, paths of .scsr files, or models.")
+    return known
+
+
+def _truth(task: Task, truth: ArrayLike) -> Float[np.ndarray, "H W"]:
+    """**Raises:** `InputError` if it is no picture of the shape that is solved for, or certainly not in intensity."""
+    picture = as_array(truth, "The truth")
+    if picture.shape != task.shape or picture.dtype.kind not in "fiu":
         raise InputError(
-            f"The truth has shape {picture.shape}; it must be finite and of the shape of the pictures, {task.shape}."
+            f"The truth is {picture.dtype} of shape {picture.shape}; it must hold numbers and be of the shape of the "
+            f"pictures, {task.shape}."
         )
-    brightest = 1 / task.clip.white_rate  # a pixel that fires in every frame
-    if picture.mean() > brightest:
+    picture = picture.astype(np.float32)
+    if not np.isfinite(picture).all():
+        raise InputError("The truth holds a value that is not finite; every pixel of it must be a finite number.")
+    mean, measured = float(picture.mean()), float(task.clip.spikes.mean() / task.clip.white_rate)
+    if measured and not measured / _TRUTH_RATIO <= mean <= measured * _TRUTH_RATIO:
         raise InputError(
-            f"The truth's mean is {picture.mean():.4g}, but no pixel can measure more than {brightest:.4g}: it must be "
-            f"intensity, 1 = white, as scsr_opt.report.read_picture reads it from a file of any number of bits."
+            f"The truth's mean is {mean:.3g}, but the recording's light is {measured:.3g} in the mean: the truth must "
+            f"be intensity, 1 = white, as scsr_opt.report.read_picture reads it from a file of any number of bits."
         )
     return picture
 
@@ -169,7 +187,9 @@ class _Measure:
             each = cost(model.solver.step, problem, state)
         measured, pictures = self._all(self.posed.first, stages, [_times(each, t) for t in range(1, len(stages) + 1)])
         prior = SHARED if eqx.tree_equal(model.prior, PRIOR) else type(model.prior).__name__
-        return ModelStages(model.name, solution.status, self.before, measured, pictures, prior), solution.image
+        strength = solution.diagnostics.strength
+        row = ModelStages(model.name, solution.status, self.before, measured, pictures, prior, strength)
+        return row, solution.image
 
     def network(
         self, model: Network, start: Float[np.ndarray, "H W"] | None = None, *, costs: bool = True

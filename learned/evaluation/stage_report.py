@@ -19,6 +19,7 @@ from matplotlib.patches import Rectangle
 from scsr_opt._files import made_folder, whole_file
 from scsr_opt.camera.recording import Recording
 from scsr_opt.report.figures import detailed_part
+from scsr_opt.report.shown import ShownFigure
 from scsr_opt.report.summary import plain, versions
 from scsr_opt.solvers.record import Status
 
@@ -64,7 +65,8 @@ class ModelStages:
 
     **Fields:** `name`; `status`, how it ended; `seconds_before` the first stage (motion, samples, strength, inputs;
     compiled), None where not measured; `stages`, all; `pictures`: t → (R^(t), X^(t)) of the stages shown; `prior`: of
-    the objective that the model minimises, `SHARED` if that is the one by which all are compared, None for a network.
+    the objective that the model minimises, `SHARED` if that is the one by which all are compared, None for a network;
+    `strength`: its λ, None for a network.
     """
 
     name: str
@@ -73,13 +75,17 @@ class ModelStages:
     stages: tuple[StageMeasures, ...]
     pictures: dict[int, tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]
     prior: str | None = None
+    strength: float | None = None
 
     @property
     def minimises(self) -> str:
         """A clause that names the objective which the model minimises, as the table's columns are called."""
         if self.prior is None:
             return "trained towards true pictures, makes no column small"
-        return "minimises the objective" if self.prior == SHARED else f"minimises 'own', with the prior {self.prior}"
+        if self.prior == SHARED:
+            return "minimises the objective"
+        of = "" if self.strength is None else f" and lambda {self.strength:.3g}"
+        return f"minimises 'own', with the prior {self.prior}{of}"
 
 
 @dataclass(frozen=True)
@@ -129,8 +135,8 @@ class Comparison:
         lines = [
             f"{self.recording.name}: {self.frames} frames of {self.recording.width}x{self.recording.height}, key frame "
             f"{self.key} -> {width}x{height} (x{self.scale}), strength of the prior (lambda) {self.strength:.3g}",
-            f"Converged solution: objective {self.reference_objective:.6g} after {self.reference_iterations} "
-            f"iterations ({self.reference_status.name.replace('_', ' ')}).",
+            f"Converged solution of fista-huber: objective {self.reference_objective:.6g} after "
+            f"{self.reference_iterations} iterations ({self.reference_status.name.replace('_', ' ')}).",
         ]
         blocks = [one.stages for one in (*self.models, *self.hybrids)]
         columns = [one for one in _COLUMNS if any(math.isfinite(getattr(s, one.field)) for b in blocks for s in b)]
@@ -175,6 +181,7 @@ class Comparison:
                     "name": model.name,
                     "result": model.status.name,
                     "minimises": model.minimises,
+                    "strength": model.strength,
                     "seconds_before": model.seconds_before,
                     "shown": list(model.pictures),
                     "stages": [asdict(stage) for stage in model.stages],
@@ -215,7 +222,7 @@ class Comparison:
                 _tile(_axes(drawn, x, y, _COLUMN, down), image[part], white, caption)
 
         with matplotlib.rc_context({"font.family": "sans-serif", "text.color": "#222222"}):
-            drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
+            drawn = ShownFigure(figsize=(page, end), dpi=120, facecolor="white")
             for number, model in enumerate(self.models):
                 tiles = [(self._caption(model.stages[t - 1]), image) for t, (_, image) in model.pictures.items()]
                 row(number, model.name, model.pictures[max(model.pictures)][1], tiles)

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from scsr_opt._kernels.device import on_device
 from scsr_opt._threads import in_threads
+from scsr_opt._validation import number
 from scsr_opt.camera.samples import Samples, padded_length, spike_intervals
 from scsr_opt.camera.sampling_rules import Intervals, SamplingRule
 from scsr_opt.camera.saturation import spike_counts
@@ -52,14 +53,17 @@ def strength_of_noise(noise: float, scale: int, prior: Prior, settings: Strength
 
 
 def relative_strength(prior: Prior) -> float:
-    """`Prior.relative_strength`. **Raises:** `InputError` where the prior has none."""
-    found = prior.relative_strength
+    """`Prior.relative_strength`. **Raises:** `InputError` where the prior has none, or it is no number above 0."""
+    found, name = prior.relative_strength, type(prior).__name__
     if found is None:
         raise InputError(
-            f"No strength is given, and that of {type(prior).__name__} cannot be set from the recording; give one: "
-            "with PlugAndPlay about the variance of the noise to be taken away at sensor resolution, such as 1e-3."
+            f"No strength is given, and {name} has no relative_strength by which it could be found from the recording: "
+            "give strength (docs/howto.md says how to choose one; for PlugAndPlay about the variance of the noise to "
+            "be taken away at sensor resolution, such as 1e-3)."
         )
-    return found
+    if callable(found):
+        raise InputError(f"{name}.relative_strength is a method; put @property on the line above it.")
+    return number(found, f"{name}.relative_strength", lambda value: 0 < value < math.inf, "above 0")
 
 
 def noise_of_mean(clip: Clip, settings: StrengthSettings = StrengthSettings()) -> float:

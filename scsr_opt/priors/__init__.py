@@ -4,6 +4,7 @@ from scsr_opt.priors.analysis import Analysis
 from scsr_opt.priors.bilateral_total_variation import BilateralTotalVariation
 from scsr_opt.priors.bounded import Bounded
 from scsr_opt.priors.centred import Centred
+from scsr_opt.priors.checks import check_prox
 from scsr_opt.priors.denoisers import NumpyDenoiser, bilateral, nl_means, tv_chambolle
 from scsr_opt.priors.huber_total_variation import HuberTotalVariation
 from scsr_opt.priors.plug_and_play import PlugAndPlay
@@ -30,6 +31,7 @@ __all__ = [
     "TotalVariation",
     "WaveletL1",
     "bilateral",
+    "check_prox",
     "nl_means",
     "tv_chambolle",
 ]

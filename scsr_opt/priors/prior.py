@@ -88,6 +88,11 @@ class Prior(eqx.Module, Generic[State]):
             return
         state = _tried(self, "initial_state", shape, self.initial_state, image)
         found = _tried(self, "prox", shape, self.prox, image, number, state)
+        if _types(found) != _types((image, state)) and _shapes(found) == _shapes((image, state)):
+            raise InputError(
+                f"{type(self).__name__}.prox must return numbers of the types that it was given, "
+                f"{_types((image, state))}, but it returns {_types(found)}."
+            )
         if _shapes(found) != _shapes((image, state)):
             raise InputError(
                 f"{type(self).__name__}.prox must return a picture of the shape {shape} that it was given and a state "
@@ -125,6 +130,11 @@ def _tried(prior: Prior[Any], name: str, shape: tuple[int, int], method: Callabl
         raise InputError(
             f"{type(prior).__name__}.{name} raised {type(error).__name__} for a picture of shape {shape}: {said}."
         ) from error
+
+
+def _types(tree: Any) -> str:
+    """The types of the numbers in nested tuples, for a message: `(float32, ())`."""
+    return str(jax.tree.map(lambda leaf: str(jax.dtypes.result_type(leaf)), tree)).replace("'", "")
 
 
 def _shapes(tree: Any) -> str:

@@ -32,6 +32,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
 from scsr_opt.report.figures import _ACCENT, _FAINT, _INK, _STYLE, _as_text, _picture, _white_level, detailed_part
+from scsr_opt.report.shown import ShownFigure
 from scsr_opt.solvers.record import Stage
 
 _LINES = ("#000000", "#e69f00", "#56b4e9", "#009e73", "#0072b2", "#d55e00", "#cc79a7", "#999999")
@@ -337,7 +338,9 @@ def _page(
 ) -> tuple[Figure, Any]:
     """A figure with its axes, and room for a title above them."""
     across, high = size
-    drawn = Figure(figsize=(across, high + (0.3 if title else 0.0)), dpi=100, facecolor="white", layout="constrained")
+    drawn = ShownFigure(
+        figsize=(across, high + (0.3 if title else 0.0)), dpi=100, facecolor="white", layout="constrained"
+    )
     if title:
         drawn.suptitle(_as_text(title), x=0.01, ha="left", fontsize=12, fontweight="bold", parse_math=False)
     return drawn, drawn.subplots(rows, columns, **layout)

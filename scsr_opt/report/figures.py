@@ -20,6 +20,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import white_of
@@ -27,6 +28,7 @@ from scsr_opt.errors import InputError
 from scsr_opt.pipeline.scene_summary import TileKind
 from scsr_opt.pipeline.solution import Solution
 from scsr_opt.report.colours import colour_wheel, full_speed, motion_colours
+from scsr_opt.report.shown import ShownFigure
 
 _INK = "#222222"
 _FAINT = "#777777"
@@ -88,7 +90,8 @@ def figure(
     playback = np.asarray(tfp(frames, solution.key - start, window=window, white_rate=solution.white_rate))
     columns = {f"Playback (TFP, {window} frames), bicubic ×{scale}": bicubic(playback, scale)}
     white = "" if solution.white.level == 1 else f", white {solution.white.level:.3g}"
-    columns[f"Reconstruction ×{scale}{white}"] = np.asarray(solution.image)
+    quality = ", quality best" if solution.diagnostics.quality == "best" else ""
+    columns[f"Reconstruction ×{scale}{quality}{white}"] = np.asarray(solution.image)
     if truth is not None:
         columns["Truth"] = np.asarray(truth)
     return compare(columns, solution, scale=scale, title=title)
@@ -131,7 +134,7 @@ def compare(
     fifth, varies = end + _TITLE, solution is not None and _used_frames_vary(solution)
     end += _TITLE + bottom + _MARGIN if varies else 0
     with matplotlib.rc_context(_STYLE):
-        drawn = Figure(figsize=(page, end), dpi=120, facecolor="white")
+        drawn = ShownFigure(figsize=(page, end), dpi=120, facecolor="white")
         if title:
             drawn.text(
                 _MARGIN / page, 1 - _MARGIN / end, _as_text(title), va="top", fontsize=13, fontweight="bold",
@@ -192,7 +195,7 @@ def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
     shown = [kind for kind in TileKind if scene.share(kind) > 0]
     top = _MARGIN + (_TITLE if title or tiles is not None else 0)
     with matplotlib.rc_context(_STYLE):
-        drawn = Figure(figsize=(page, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
+        drawn = ShownFigure(figsize=(page, top + tall + 0.2 * (len(lines) + 1) + _MARGIN), facecolor="white")
         axes = _axes(drawn, _MARGIN, top, across, tall)
         colours = np.zeros((*scene.kind.shape, 4))
         for kind in shown:
@@ -343,20 +346,31 @@ def _convergence(drawn: Figure, solution: Solution, x: float, y: float, wide: fl
         axes.set_axis_off()
         axes.set_title("Convergence: not recorded", loc="left", fontsize=10)
         return
-    number = [stage.number for stage in stages]
+    first = solution.diagnostics.first_iterations
+    number = [float(stage.number) for stage in stages]
+    objective, residual = ([getattr(stage, name) for stage in stages] for name in ("objective", "residual"))
+    if first is not None:  # the objectives of two problems are no curve
+        for values in (number, objective, residual):
+            values.insert(first, math.nan)
     each = (tall - 1.5 * _TITLE) / 2
     upper = _axes(drawn, x, y, wide, each)
-    _curve(upper, number, [stage.objective for stage in stages])
-    ending, first = solution.status.name.replace("_", " "), solution.diagnostics.first_iterations
-    again = "" if first is None else f"; after {first} a network's picture"
-    upper.set_title(f"Objective: {len(stages)} iterations, {ending}{again}", loc="left", fontsize=10)
+    _curve(upper, number, objective)
+    ending = solution.status.name.replace("_", " ")
+    upper.set_title(f"Objective: {len(stages)} iterations, {ending}", loc="left", fontsize=10)
     upper.tick_params(labelbottom=False)
     lower = _axes(drawn, x, y + tall - each, wide, each)
-    _curve(lower, number, [stage.residual for stage in stages])
+    _curve(lower, number, residual)
     lower.set_title("Relative residual", loc="left", fontsize=10)
-    if first is not None:
-        for axes in (upper, lower):
+    for axes in (upper, lower):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        if first is not None:  # where the second solve begins
             axes.axvline(first + 0.5, color=_ACCENT, linewidth=0.8, linestyle="--")
+    if first is not None:
+        text = "second solve, around\na network's picture"
+        upper.annotate(
+            text, (first + 0.5, 0.95), (4, 0), xycoords=("data", "axes fraction"), textcoords="offset points",
+            va="top", fontsize=8, color=_ACCENT,
+        )  # fmt: skip
     lower.set_xlabel("iteration")
 
 
@@ -396,7 +410,7 @@ def _used_frames(drawn: Figure, solution: Solution, x: float, y: float, across: 
     drawn.colorbar(ScalarMappable(range_, "viridis"), cax=_axes(drawn, x + across + _GUTTER, y, 0.15, tall))
 
 
-def _curve(axes: Axes, number: Sequence[int], values: Sequence[float]) -> None:
+def _curve(axes: Axes, number: Sequence[float], values: Sequence[float]) -> None:
     finite = np.array([value if math.isfinite(value) else np.nan for value in values], dtype=np.float64)
     mark = "." if len(number) == 1 else ""
     axes.plot(number, finite, color=_INK, linewidth=1.2, marker=mark)

@@ -18,7 +18,10 @@ class Status(enum.Enum):
         "it."
     )
     stages_done = "All stages of the network were run; a network has no tolerance to meet."
-    non_finite = "A value that is not finite appeared; the last finite picture is returned and should not be trusted."
+    non_finite = (
+        "A value that is not finite appeared, in the measurements, the prior or its proximal step; the last finite "
+        "picture is returned and should not be trusted."
+    )
     no_samples = (
         "The recording holds no usable sample (no pixel fired, all are marked bad, or what they saw has left the "
         "picture), so the picture carries no information."

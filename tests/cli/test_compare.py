@@ -82,7 +82,7 @@ def test_compare_writes_table_figure_and_numbers(scsr, here, file, net, asked):
         (["--models", "ridge", "--scale", "0"], "--scale is 0"),
         (["--models", "ridge", "--strength", "-1"], "--strength is -1"),
         (["--models", "ridge", "--key", "31"], "Key frame 31 is not in ramp"),
-        (["--models", "ridge", "--truth", "small.npz"], "The truth has shape (3, 4)"),
+        (["--models", "ridge", "--truth", "small.npz"], "The truth is float32 of shape (3, 4)"),
         (["--models", "ridge", "--truth", "missing.png"], "missing.png"),
         (["--models", "ridge", "--output", "ramp.npz"], "--output ramp.npz is a file; name a folder"),
         (["--models", "ridge", "--output", "no/where"], "the folder no does not exist"),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import learned
+from learned import zoo
 from learned.evaluation import compare
 from learned.evaluation.compare import compare_stages
 from learned.evaluation.costs import cost
@@ -161,8 +162,11 @@ def test_the_table_has_a_block_for_each_model(compared):
     ista, plain = compared.models
     assert f"\n{ista.name}: {len(ista.stages)} stages; minimises the objective; " in table
     assert f"\n{plain.name}: 2 stages; trained towards true pictures, makes no column small; " in table
-    other = dataclasses.replace(ista, prior="TotalVariation")
-    assert "minimises 'own', with the prior TotalVariation" in dataclasses.replace(compared, models=(other,)).table()
+    other = dataclasses.replace(ista, prior="TotalVariation", strength=0.0123)
+    assert (
+        "minimises 'own', with the prior TotalVariation and lambda 0.0123"
+        in dataclasses.replace(compared, models=(other,)).table()
+    )
     started = f"fista-huber started at the last picture of {plain.name}: {compared.hybrids[0].iterations} iterations"
     assert started in table
     lines = table.splitlines()
@@ -248,9 +252,13 @@ def test_what_cannot_be(recording, plain, monkeypatch):
             {},
             "Of the models to compare, fista-tv comes more than once: name each once",
         ),
-        (["ridge"], {"truth": np.zeros((20, 24))}, r"The truth has shape \(20, 24\)"),
-        (["ridge"], {"truth": np.full((40, 48), 20_000, np.uint16)}, r"mean is 2e\+04.*more than 1\.667.*read_picture"),
-        (["ridge"], {"truth": np.full((40, 48), 100.0)}, "mean is 100"),
+        (["ridge"], {"truth": np.zeros((20, 24))}, r"The truth is float64 of shape \(20, 24\)"),
+        (["ridge"], {"truth": np.full((40, 48), 20_000, np.uint16)}, "mean is 2e.04, .*read_picture"),
+        (["ridge"], {"truth": np.full((40, 48), 0.002)}, "mean is 0.002, .*read_picture"),
+        (["ridge"], {"truth": np.full((40, 48), np.nan)}, "The truth holds a value that is not finite"),
+        (["ridge"], {"truth": "truth.png"}, "The truth is 'truth.png', but it must be an array.*read_picture"),
+        (["ridge-x2"], {}, "There is no model 'ridge-x2': leave -x2 out"),
+        (["ridge", zoo.load_model("ridge-x2")], {}, "ridge comes more than once"),
         ("ista-tv,ridge", {}, r"it must be a list of names, such as \['ista-tv', 'ridge'\]"),
         (["ridge"], {"key": 41}, "key is 41"),
         ([plain], {"scale": 3}, "was trained for scale 2"),

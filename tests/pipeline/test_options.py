@@ -75,6 +75,32 @@ def test_validated_prior_without_a_relative_strength_needs_one():
     assert Options(prior=prior, strength=1e-3).validated(RECORDING, 2).prior is prior
 
 
+class AMethod(HuberTotalVariation):
+    def relative_strength(self):  # pyright: ignore[reportIncompatibleMethodOverride]
+        return 2.0
+
+
+class Negative(HuberTotalVariation):
+    relative_strength = -1.0
+
+
+@pytest.mark.parametrize(
+    ("prior", "message"),
+    [
+        (AMethod(), "AMethod.relative_strength is a method; put @property on the line above it"),
+        (Negative(), "Negative.relative_strength is -1.0; it must be a finite number above 0"),
+    ],
+)
+def test_validated_relative_strength_is_a_number_above_0(prior, message):
+    with pytest.raises(InputError, match=message):
+        Options(prior=prior).validated(RECORDING, 2)
+
+
+def test_validated_a_path_in_the_place_of_spikes_is_named():
+    with pytest.raises(InputError, match=r"The array is 'car.dat', but it must be an array.*read_recording"):
+        Recording.from_array("car.dat")
+
+
 @pytest.mark.parametrize("gain", ["auto", "blind"])
 def test_known_gain_is_none_where_gains_are_to_be_found(gain):
     options = Options(gain=gain).validated(RECORDING, 2)

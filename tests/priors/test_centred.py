@@ -70,5 +70,5 @@ def test_what_is_refused():
     with pytest.raises(InputError, match=r"a centre of shape \(9, 11\), but the picture has shape \(8, 11\)"):
         Centred(HuberTotalVariation(), centre).initial_state(image[1:])
     spikes = np.ones((5, 6, 7), np.uint8)
-    with pytest.raises(InputError, match="that of Centred cannot be set from the recording"):
+    with pytest.raises(InputError, match="Centred has no relative_strength by which it could be found"):
         reconstruct(spikes, scale=2, prior=Centred(HuberTotalVariation(), np.zeros((12, 14))))

@@ -35,6 +35,11 @@ class Cropped(L1):
         return image[1:], state
 
 
+class Narrow(L1):
+    def prox(self, image, strength, state):
+        return super().prox(image, strength, state)[0].astype(jnp.float16), state
+
+
 class NoStrength(L1):
     def prox(self, image, state):  # pyright: ignore[reportIncompatibleMethodOverride]
         return image, state
@@ -61,6 +66,7 @@ def test_check_accepts_a_prior_of_one_s_own():
         (OtherState, r"it returns \(\(24, 32\), \(24, 32\)\)"),
         (Cropped, r"it returns \(\(23, 32\), \(\)\)"),
         (NoStrength, r"NoStrength.prox raised TypeError for a picture of shape \(24, 32\)"),
+        (Narrow, r"Narrow.prox must return numbers of the types that it was given, \(float32, \(\)\), but .*float16"),
         (Map, r"Map.value must return one number, but it returns \(24, 32\)"),
         (NumPy, r"NumPy.value raised TracerArrayConversionError"),
     ],

@@ -68,6 +68,24 @@ def test_figure_shows_all_that_there_is(solution):
     assert np.unique(_pixels(drawn)).size > 50
 
 
+def test_figure_of_the_best_quality_marks_the_second_solve(solution):
+    first = solution.stages[-1].number - 1
+    known = dataclasses.replace(solution.diagnostics, quality="best", first_iterations=first)
+    drawn = figure(dataclasses.replace(solution, diagnostics=known))
+    titles = [axes.get_title(loc="left") for axes in drawn.axes]
+    assert any("quality best" in title for title in titles)
+    (upper,) = (axes for axes in drawn.axes if axes.get_title(loc="left").startswith("Objective"))
+    curve, mark = upper.lines
+    assert np.isnan(np.asarray(curve.get_ydata(), float)).nonzero()[0].tolist() == [first]
+    assert set(np.asarray(mark.get_xdata())) == {first + 0.5}
+    assert [text.get_text() for text in upper.texts] == ["second solve, around\na network's picture"]
+
+
+def test_figures_show_themselves_in_a_notebook(solution):
+    for drawn in (figure(solution), solution.plot(), compare({"one": solution.image})):
+        assert drawn._repr_png_().startswith(b"\x89PNG")
+
+
 def test_plot_is_the_figure_of_the_solution(solution):
     drawn = solution.plot(title="A street", window=5)
     assert _titles(drawn)[:2] == ["Playback (TFP, 5 frames), bicubic ×4", "Reconstruction ×4"]

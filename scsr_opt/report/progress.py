@@ -8,14 +8,19 @@ from typing import IO, TYPE_CHECKING
 if TYPE_CHECKING:
     import rich.progress
 
+# Steps from which the remaining time is foretold: the first ones may compile programs, which later ones need not.
+_FEWEST = 5
+
 
 def speed(done: int, total: int | None, seconds: float) -> str:
-    """The rate of `done` steps of `total` in `seconds`, and how long the rest takes at that rate, in words; empty where
-    neither is known."""
+    """The rate of `done` steps of `total` in `seconds`, and, from `_FEWEST` steps on, how long the rest takes at that
+    rate, in words; empty where neither is known."""
     if total is None or not 0 < done < total or seconds <= 0:
         return ""
     each = seconds / done
     rate = f"{1 / each:.2g} per second" if each < 1 else f"{each:.2g} s each"
+    if done < _FEWEST:
+        return rate
     left = each * (total - done)
     shown = f"{left:.0f} s" if left < 120 else f"{left / 60:.0f} min" if left < 7200 else f"{left / 3600:.0f} h"
     return f"{rate}, {shown} left"

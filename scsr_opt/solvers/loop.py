@@ -92,7 +92,7 @@ def run(
     stages: list[Stage] = []
     status = Status.iterations_exhausted
     if progress is not None:
-        progress.start(iterations, "solving")
+        progress.start(None, f"solving, at most {iterations} iterations")  # most solves need few of them
     try:
         while len(stages) < iterations:
             before = state

@@ -76,7 +76,7 @@ def run_tiles(
     """
     check_progress(progress)
     if progress is not None:
-        progress.start(solver.iterations, "solving")
+        progress.start(None, f"solving, at most {solver.iterations} iterations")
     try:
         given: dict[str, Any] = {"similar": similar, "correction": correction, "progress": progress}
         given |= {"tolerance": tolerance, "finished_tiles": finished_tiles, "settings": settings}

@@ -99,9 +99,10 @@ def test_long_work_is_shown_even_before_its_first_step(screen):
         (10, 10, 5.0, ""),
         (3, None, 5.0, ""),
         (20, 60, 10.0, "2 per second, 20 s left"),
-        (2, 10, 9.0, "4.5 s each, 36 s left"),
-        (2, 1000, 9.0, "4.5 s each, 75 min left"),
-        (2, 10_000, 9.0, "4.5 s each, 12 h left"),
+        (2, 10, 9.0, "4.5 s each"),  # too few to foretell the rest
+        (6, 10, 27.0, "4.5 s each, 18 s left"),
+        (6, 1000, 27.0, "4.5 s each, 75 min left"),
+        (6, 10_000, 27.0, "4.5 s each, 12 h left"),
     ],
 )
 def test_speed_is_of_what_was_done_so_far(done, total, seconds, words):

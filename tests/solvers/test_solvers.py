@@ -204,7 +204,7 @@ class Watcher:
         self.calls: list[Any] = []
 
     def start(self, total: int | None, what: str) -> None:
-        self.calls.append(("start", total))
+        self.calls.append((what, total))
 
     def advance(self, done: int) -> None:
         self.calls.append(done)
@@ -216,7 +216,7 @@ class Watcher:
 def test_progress_is_told_by_chunks(case):
     watcher = Watcher()
     run(FISTA(iterations=50, tolerance=0), case.problem, case.start, progress=watcher)
-    assert watcher.calls == [("start", 50), 20, 20, 10, "finish"]
+    assert watcher.calls == [("solving, at most 50 iterations", None), 20, 20, 10, "finish"]
 
 
 def test_progress_is_finished_when_the_work_fails(case):
@@ -227,7 +227,7 @@ def test_progress_is_finished_when_the_work_fails(case):
     watcher = Stopped()
     with pytest.raises(KeyboardInterrupt):
         run(FISTA(tolerance=0), case.problem, case.start, progress=watcher)
-    assert watcher.calls == [("start", FISTA().iterations), "finish"]
+    assert watcher.calls == [(f"solving, at most {FISTA().iterations} iterations", None), "finish"]
 
 
 @pytest.mark.parametrize("name", SOLVERS)

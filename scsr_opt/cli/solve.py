@@ -162,13 +162,13 @@ def _camera_lines(found: Any) -> list[str]:
 def _explained(solution: Any) -> list[str]:
     if solution.scene is None:
         return ["No work was left out."]
-    parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in solution.diagnostics.seconds.items())
+    parts = ", ".join(f"{name} {seconds:.2f}" for name, seconds in solution.diagnostics.seconds.items())
     left = [_left(solution.status, stage.residual, solution.diagnostics.positions) for stage in solution.stages[-1:]]
     if solution.diagnostics.solver == "DataProximal":
         left.insert(0, "Solver: data-proximal, which is faster where nothing moves.")
     if solution.tiles is not None:
         left.extend(solution.tiles.lines())
-    return [*solution.scene.lines(), *left, f"Time: {parts}."]
+    return [*solution.scene.lines(), *left, f"Seconds: {parts}."]
 
 
 def _left(result: Any, residual: float, positions: int) -> str:

@@ -88,7 +88,8 @@ class Solving:
         Literal["fast", "best"],
         Parameter(
             help="best: a network improves the picture, and a second solve, with a prior around the network's picture, "
-            "makes it agree with the data: a better picture in one to three times the time."
+            "makes it agree with the data: a better picture of most scenes in one to three times the time; small "
+            "letters and fine patterns may become worse."
         ),
     ] = "fast"
     prior: Annotated[

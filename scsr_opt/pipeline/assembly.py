@@ -97,7 +97,8 @@ class Assembly:
         """This problem with a validated strength, and the prior that it is for."""
         method = replace(self.method, strength=on_device(np.float32(found.strength)), prior=found.prior)
         restores = self.task.options.restores and found.restored
-        return replace(self, method=method, restores=restores, near=found.image, term=found.term)
+        known = replace(self.diagnostics, restored_deviations=found.deviations)
+        return replace(self, method=method, restores=restores, near=found.image, term=found.term, diagnostics=known)
 
     def with_sums(self) -> "Assembly":
         """This problem with M and c summed."""

@@ -47,7 +47,9 @@ class Diagnostics:
     - `motion_carried`: in a sequence, whether the motion is that of the picture before, carried on.
     - `quality`: "best" where Eq. 4 was solved a second time, around a network's picture (`Options.quality`), otherwise
       "fast". `restored`: None if "best" was not asked for; false if it was, but the picture with the network predicted
-      held-out samples worse than the one without it, which was solved for instead.
+      held-out samples worse than the one without it, which was solved for instead. `restored_deviations`: by how many
+      standard deviations it predicted them worse (negative: better); None where they were not compared, as the strength
+      was given or carried on.
     - Of the second solve: `first_iterations`, those of `iterations` that were made before it; `centred_strength`, its λ
       (`strength` is that of the first solve); `misfit_ratio`: f(X) of the picture over that of the first solution,
       above 1 if the samples contradict the network's picture.
@@ -74,6 +76,7 @@ class Diagnostics:
     motion_carried: bool | None = None
     quality: str | None = None
     restored: bool | None = None
+    restored_deviations: float | None = None
     first_iterations: int | None = None
     centred_strength: float | None = None
     misfit_ratio: float | None = None

@@ -102,6 +102,8 @@ class ValidatedStrength(NamedTuple):
     - `strength`: λ, of `prior` Ψ.
     - `restored`: false where the picture about a restored one predicts held-out samples worse than that of `prior`,
       which is the default one then.
+    - `deviations`: standard deviations by which the picture about a restored one predicts held-out samples worse than
+      the usual one (negative: better); None where nothing is restored.
     - `image`: (H, W), intensity, the picture of the tried strength nearest to it (before a prior that stood in is
       accounted for): a start much nearer to the solution than playback. None if it is not finite.
     - `term`: M, c and e of all samples, those that were held out added to the others; None where these sums are not
@@ -111,6 +113,7 @@ class ValidatedStrength(NamedTuple):
     strength: float
     prior: Prior
     restored: bool = True
+    deviations: float | None = None
     image: Float[Array, "H W"] | None = None
     term: DataTerm | None = None
 
@@ -290,21 +293,21 @@ class StrengthSearch:
             term = folds[0].term()
             near = pictures[min(pictures, key=lambda factor: abs(math.log(factor / times)))]
             near = near if np.isfinite(near).all() else None
-        unrestored = ValidatedStrength(least * times / share, stand_in, False, near, term)
+        unrestored = ValidatedStrength(least * times / share, stand_in, False, image=near, term=term)
         if ridge:
             times = max(at_least, raised_by * settings.ridge_factor * best**settings.ridge_exponent)
-        found = ValidatedStrength(least * times, self.prior, True, near, term)
+        found = ValidatedStrength(least * times, self.prior, image=near, term=term)
         if self.restoration is None:
             return found
         usual = unrestored.strength if self.by_stand_in else None
         difference = partial(_Fold.difference, restoration=self.restoration, prior=self.prior)
         sums = in_threads(lambda fold: difference(fold, strength=found.strength, usual=usual), folds)
         worse, squares = np.sum(sums, 0)
+        deviations = float(worse / squares**0.5) if squares > 0 else 0.0
         # Not where it is NaN: the solve reports what is not finite.
-        rejected = worse > settings.restoration_deviations * squares**0.5
-        if not rejected:
-            return found
-        return unrestored if self.by_stand_in else found._replace(restored=False)
+        if not deviations > settings.restoration_deviations:
+            return found._replace(deviations=deviations)
+        return (unrestored if self.by_stand_in else found)._replace(restored=False, deviations=deviations)
 
     def _splits(
         self, clip: Clip, motion: Motion, measurements: Measurements | Trajectory, image: Float[Array, "H W"]

@@ -31,7 +31,7 @@ _KINDS = {
     "dead": "dead",
     "hot": "always firing",
     "isolated": "unlike all pixels around",
-    "resting": "that stay as they are while the scene moves, as dust does",
+    "resting": "like dust, unchanged while the scene moves",
 }
 _VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")
 
@@ -140,7 +140,8 @@ class Report:
         numbers = {kind: n for kind, n in (self.diagnostics["bad_pixels"] or {}).items() if n}
         if numbers:
             kinds = ", ".join(f"{n:,} {_KINDS[kind]}" for kind, n in numbers.items())
-            lines.append(f"Bad pixels: {sum(numbers.values()):,} are not used: {kinds}.")
+            count = sum(numbers.values())
+            lines.append(f"Bad pixels: {count:,} {'is' if count == 1 else 'are'} not used: {kinds}.")
         lines += _of_light(self.diagnostics)
         if self.diagnostics["used_frames"] is not None:
             least, usual, most = self.diagnostics["used_frames"]
@@ -225,22 +226,22 @@ def _of_light(found: Mapping[str, Any]) -> list[str]:
 
 
 def _of_quality(found: Mapping[str, Any]) -> list[str]:
-    """A sentence or two on what a network did to the picture, where one was asked for."""
+    """Sentences on what a network did to the picture, where one was asked for."""
+    off, ratio = found["restored_deviations"], found["misfit_ratio"]
+    predicted = "" if off is None else f"{abs(off):.1f} standard deviations {'worse' if off > 0 else 'better'}"
     if found["restored"] is False:
         return [
-            "Quality: fast instead of best. The network's picture predicted held-out measurements worse than the usual "
-            "picture does, so it was not used."
+            f"Quality: fast instead of best. The network's picture predicted held-out measurements {predicted} than "
+            f"the usual picture does, so it was not used."
         ]
-    ratio = found["misfit_ratio"]
     if ratio is None:
         return []
-    if ratio <= CONTRADICTED:
-        says = "The result fits the measurements as well as the picture before"
-    else:
-        says = "The measurements contradict the network's picture; compare with the quality fast"
+    contradicts = ", so the measurements contradict the network's picture; compare with the quality fast"
+    compared = f"are predicted {predicted} than before" if predicted else "were not compared, as λ was not searched for"
     return [
-        f"Quality: best. A network improved the picture, and a second solve made it agree with the measurements. "
-        f"{says} (misfit {ratio:.3f} times that before)."
+        f"Quality: best. A network improved the picture, and a second solve made it agree with the measurements: the "
+        f"misfit is {ratio:.3f} times that before{contradicts if ratio > CONTRADICTED else ''}. Held-out measurements "
+        f"{compared}."
     ]
 
 

@@ -64,7 +64,7 @@ def test_what_was_skipped_is_told_and_shown(scsr, file, monkeypatch):
     monkeypatch.setattr(scsr_opt, "reconstruct", lambda *_, **__: solution)
     said = scsr("solve", file, "--scale", "2", "-o", "a.png", "--explain", "--figure", "plan.png")
     assert "Measurements: 200 instead of 500 (60 % fewer)." in said and "  33 %: nothing moves" in said
-    assert "Solver: data-proximal, which is faster where nothing moves." in said and "Time: motion 0.50 s." in said
+    assert "Solver: data-proximal, which is faster where nothing moves." in said and "Seconds: motion 0.50." in said
     assert "One more iteration would change the picture by 0.02 % at most." in said
     with Image.open("plan.png") as figure:
         assert figure.width > figure.height

@@ -180,6 +180,7 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     assert found.diagnostics.strength == first.diagnostics.strength
     assert found.diagnostics.centred_strength == pytest.approx(2 * found.diagnostics.strength)
     assert (found.diagnostics.quality, first.diagnostics.quality) == ("best", "fast")
+    assert found.diagnostics.restored_deviations is None  # a strength was given
     assert found.diagnostics.prior == first.diagnostics.prior == "RidgeRegulariser"
     # What was held back by the prior is not paid for twice: the picture comes nearer to the data.
     assert found.diagnostics.misfit_ratio == found.stages[-1].data / found.stages[count - 1].data < 1
@@ -270,6 +271,7 @@ def test_a_restoration_that_predicts_worse_is_not_used(recording, silent):
     usual = reconstruct(recording, scale=2)
     wrong = reconstruct(recording, scale=2, quality=Told(bars))
     assert wrong.diagnostics.restored is False and wrong.diagnostics.first_iterations is None
+    assert wrong.diagnostics.restored_deviations is not None and wrong.diagnostics.restored_deviations > 3
     np.testing.assert_array_equal(wrong.image, usual.image)
     assert any(line.startswith("Quality: fast") for line in wrong.report().lines())
     assert usual.diagnostics.restored is None

@@ -149,26 +149,27 @@ def test_versions_names_what_matters():
     [
         ({"quality": "fast"}, []),
         (
-            {"quality": "fast", "restored": False},
+            {"quality": "fast", "restored": False, "restored_deviations": 4.24},
             [
-                "Quality: fast instead of best. The network's picture predicted held-out measurements worse than the "
-                "usual picture does, so it was not used."
+                "Quality: fast instead of best. The network's picture predicted held-out measurements 4.2 standard "
+                "deviations worse than the usual picture does, so it was not used."
             ],
         ),
         (
-            {"quality": "best", "restored": True, "misfit_ratio": 1.0004},
+            {"quality": "best", "restored": True, "misfit_ratio": 1.0004, "restored_deviations": -2.0},
             [
                 "Quality: best. A network improved the picture, and a second solve made it agree with the "
-                "measurements. The result fits the measurements as well as the picture before (misfit 1.000 times that "
-                "before)."
+                "measurements: the misfit is 1.000 times that before. Held-out measurements are predicted 2.0 standard "
+                "deviations better than before."
             ],
         ),
         (
             {"quality": "best", "restored": True, "misfit_ratio": 1.16},
             [
                 "Quality: best. A network improved the picture, and a second solve made it agree with the "
-                "measurements. The measurements contradict the network's picture; compare with the quality fast "
-                "(misfit 1.160 times that before)."
+                "measurements: the misfit is 1.160 times that before, so the measurements contradict the network's "
+                "picture; compare with the quality fast. Held-out measurements were not compared, as λ was not "
+                "searched for."
             ],
         ),
     ],

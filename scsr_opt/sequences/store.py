@@ -165,7 +165,8 @@ class SequenceStore:
         if len(found) > 1:  # of other key frames the spikes are others, too
             found = [clause for clause in found if not clause.startswith(_SPIKES)]
         if found:
-            more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
+            others = len(found) - 1
+            more = f" (and {others} more difference{'s' if others > 1 else ''})" if others else ""
             raise InputError(
                 f"{self.path.name} holds another sequence: {_reworded(found[0])}{more}; give another name, or "
                 f"--overwrite to begin anew."

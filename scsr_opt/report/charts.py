@@ -24,6 +24,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from scsr_opt._arrays import as_array
@@ -40,6 +41,7 @@ _DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1))
 # Inches.
 _WIDE, _TALL, _TILE = 7.0, 3.0, 2.0
 _ARROWS = 16  # along the longer side of a velocity map
+_MARGIN_SHARE = 8  # of a side: pixels nearer to the border are not marked
 
 
 def spike_raster(
@@ -63,9 +65,11 @@ def spike_raster(
         raise InputError(f"key is {key}, but the recording has frames 0 to {len(frames) - 1}.")
     rates = frames.mean(axis=0)
     if pixels is None:
-        ordered = np.argsort(rates, axis=None, kind="stable")
+        top, left = (side // _MARGIN_SHARE for side in rates.shape)  # or their marks would be cut off
+        inner = rates[top : rates.shape[0] - top, left : rates.shape[1] - left]
+        ordered = np.argsort(inner, axis=None, kind="stable")
         places = (np.array([0.02, 0.25, 0.5, 0.75, 0.98]) * (ordered.size - 1)).round().astype(int)
-        chosen = [divmod(int(place), rates.shape[1]) for place in ordered[places]]
+        chosen = [(top + int(p) // inner.shape[1], left + int(p) % inner.shape[1]) for p in ordered[places]]
     else:
         chosen = [(int(row), int(column)) for row, column in pixels]
         for row, column in chosen:
@@ -77,8 +81,11 @@ def spike_raster(
         left.set_aspect("equal")
         left.set_title(f"Frame {shown}: white where a pixel fires", loc="left", fontsize=10)
         for number, (row, column) in enumerate(chosen):
-            left.plot(column, row, "o", markersize=7, fillstyle="none", color=_ACCENT)
-            left.annotate(str(number + 1), (column, row), (4, 4), textcoords="offset points", color=_ACCENT)
+            left.plot(column, row, "o", markersize=9, markeredgewidth=2, fillstyle="none", color=_ACCENT)
+            left.annotate(
+                str(number + 1), (column, row), (6, 3), textcoords="offset points", color=_ACCENT, fontsize=12,
+                fontweight="bold", path_effects=[withStroke(linewidth=3, foreground="white")],
+            )  # fmt: skip
         times = [np.flatnonzero(frames[:, row, column]) for row, column in chosen]
         right.eventplot(times, colors=_INK, linelengths=0.7, linewidths=1.0)
         right.axvline(shown, color=_ACCENT, linewidth=0.8)
@@ -138,6 +145,7 @@ def error_map(
     truth: Num[Any, "H W"],
     *,
     largest: float | None = None,
+    label: str = "too dark   ←   intensity   →   too bright",
     title: str | None = None,
 ) -> Figure:
     """Where a picture is too bright (red) or too dark (blue), in intensity, 1 = white.
@@ -146,6 +154,7 @@ def error_map(
     - `image`: (H, W), or name → picture for several beside each other.
     - `truth`: (H, W), the picture that would be right.
     - `largest`: error with full colour; that which 1 in 100 pixels of the last picture exceeds if None.
+    - `label`: of the colours, for two pictures of which neither is the truth.
     """
     pictures = _alike({**(image if isinstance(image, Mapping) else {"Error": image}), "": truth})
     right = pictures.pop("")
@@ -163,7 +172,7 @@ def error_map(
             root = float(np.sqrt(np.mean(np.square(error, dtype=np.float64))))
             axes.set_title(f"{name}: RMS {root:.3g}", loc="left", fontsize=10)
         bar = drawn.colorbar(ScalarMappable(range_, "RdBu_r"), ax=list(np.ravel(grid)), fraction=0.05, extend="both")
-        bar.set_label("too dark   ←   intensity   →   too bright")
+        bar.set_label(label)
     return drawn
 
 
@@ -213,34 +222,45 @@ def convergence(solutions: Any, *, one_problem: bool = False, title: str | None 
 
     Objectives with different priors, strengths or recordings are values of different functions, which cannot be
     compared. Of several methods each is therefore drawn relative to its own lowest objective, so that every curve ends
-    near 1, unless all of them solve one problem.
+    near 1, unless all of them solve one problem: then the gap to the lowest objective of all is drawn.
 
     **Arguments:**
     - `solutions`: a `Solution` or `scsr_opt.solvers.Outcome`, a list of `Stage`, or name → one of these.
-    - `one_problem`: true if the objectives of all are those of one problem, with the same samples, prior and strength;
-      they are drawn as they are then.
+    - `one_problem`: true if the objectives of all are those of one problem, with the same samples, prior and strength.
 
     **Raises:** `InputError` if there is no stage, or a lowest objective that others are relative to is not above 0.
     """
     curves = _curves(solutions)
-    comparable = one_problem or len(curves) == 1
-    units = {name: 1.0 if comparable else _lowest(name, stages) for name, stages in curves.items()}
+    several = len(curves) > 1
+    gaps, relative = several and one_problem, several and not one_problem
+    units = {name: _lowest(name, stages) if several else 1.0 for name, stages in curves.items()}
+    least = min(units.values())
     with matplotlib.rc_context(_STYLE):
         drawn, (left, right) = _page((10.0, _TALL), title, columns=2)
         for number, (name, stages) in enumerate(curves.items()):
             iterations = [stage.number for stage in stages]
-            _line(left, iterations, [stage.objective / units[name] for stage in stages], name, number)
+            objectives = [stage.objective for stage in stages]
+            shown = _gaps(objectives, least) if gaps else [objective / units[name] for objective in objectives]
+            _line(left, iterations, shown, name, number)
             _line(right, iterations, [stage.residual for stage in stages], name, number)
         for axes, name in ((left, "Objective f(X) + λΨ(X)"), (right, "Relative residual")):
             axes.set_title(name, loc="left", fontsize=10)
             axes.set_xlabel("iteration")
-        if not comparable:
+        if relative:
             left.set_ylabel("objective / its own lowest value")
             left.ticklabel_format(axis="y", useOffset=False)
+        if gaps:
+            left.set_ylabel("gap (F − F*) / F*")
+            left.set_yscale("log")
         right.set_yscale("log")
         if len(curves) > 1:
             right.legend(frameon=False, fontsize=8)
     return drawn
+
+
+def _gaps(objectives: Sequence[float], least: float) -> list[float]:
+    """(F − F*) / F* of each objective, F* the `least`; NaN for that itself, which a logarithm does not show."""
+    return [(objective - least) / least if objective > least else math.nan for objective in objectives]
 
 
 def time_against_error(
@@ -267,8 +287,8 @@ def time_against_error(
         drawn, axes = _page((_WIDE, _TALL + 0.6), title)
         for number, (name, stages) in enumerate(curves.items()):
             times = [stage.seconds for stage in stages] if seconds is None else seconds[name]
-            gaps = [(stage.objective - bottom) / bottom for stage in stages]
-            _line(axes, [1e3 * time for time in times], [gap if gap > 0 else math.nan for gap in gaps], name, number)
+            gaps = _gaps([stage.objective for stage in stages], bottom)
+            _line(axes, [1e3 * time for time in times], gaps, name, number)
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xlabel("time, milliseconds")

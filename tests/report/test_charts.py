@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import math
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -131,9 +132,18 @@ def test_convergence_draws_objectives_relative_to_their_own_lowest():
     drawn_once(convergence(nothing))
 
 
-def test_convergence_of_one_problem_draws_objectives_as_they_are():
-    for given in ({"a": stages(5), "b": stages(9)}, {"a": stages(5)}):
-        objective = convergence(given, one_problem=len(given) > 1).axes[0]
+def test_convergence_of_one_problem_draws_the_gap_to_the_lowest_of_all():
+    given = {"a": stages(5), "b": stages(9)}
+    objective = convergence(given, one_problem=True).axes[0]
+    least = stages(9)[-1].objective
+    assert list(line(objective, 0)[1]) == pytest.approx([(stage.objective - least) / least for stage in stages(5)])
+    assert math.isnan(line(objective, 1)[1][-1]) and objective.get_yscale() == "log"
+    assert objective.get_ylabel() == "gap (F − F*) / F*"
+
+
+def test_convergence_of_one_method_draws_objectives_as_they_are():
+    for one_problem in (False, True):
+        objective = convergence({"a": stages(5)}, one_problem=one_problem).axes[0]
         assert list(line(objective, 0)[1]) == [stage.objective for stage in stages(5)]
         assert objective.get_ylabel() == ""
 

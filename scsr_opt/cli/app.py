@@ -50,6 +50,13 @@ def _converted(kind: Any, tokens: Sequence[Token]) -> Any:
     return convert(functools.reduce(operator.or_, others), tokens)
 
 
+# Of commands that take several files, which Cyclopts calls ARGS.
+_USAGES = {
+    "batch": "batch --output PATH [OPTIONS] FILE...",
+    "calibrate": "calibrate --output PATH [OPTIONS] [SCENES...]",
+}
+
+
 @functools.cache
 def _app() -> App:
     """The application with the commands of this package and those that others add (entry points `scsr.commands`)."""
@@ -83,7 +90,11 @@ def _app() -> App:
         *(entry.load() for entry in added),
     ):
         # Paragraphs are filled to the terminal's width; the line breaks are those of the source.
-        app.command(command, help="\n\n".join(" ".join(p.split()) for p in (command.__doc__ or "").split("\n\n")))
+        paragraphs = [" ".join(part.split()) for part in (command.__doc__ or "").split("\n\n")]
+        usage = _USAGES.get(command.__name__)
+        app.command(
+            command, help="\n\n".join(paragraphs), **({} if usage is None else {"usage": f"Usage: scsr {usage}"})
+        )
     return app
 
 

@@ -19,10 +19,11 @@ def calibrate(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Maps to write (.npz), for --calibration.")],
     flat: Annotated[
         tuple[PathOrUrl, ...],
-        Parameter(negative="", help="Recordings of an evenly lit, still surface; may be repeated."),
+        Parameter(negative="", show_default=False, help="Recordings of an evenly lit, still surface; may be repeated."),
     ] = (),
     dark: Annotated[
-        tuple[PathOrUrl, ...], Parameter(negative="", help="Recordings with the lens covered; may be repeated.")
+        tuple[PathOrUrl, ...],
+        Parameter(negative="", show_default=False, help="Recordings with the lens covered; may be repeated."),
     ] = (),
     reading: Reading | None = None,
     overwrite: Overwrite = False,

@@ -21,7 +21,7 @@ def as_array(value: Any, name: str) -> np.ndarray:
     """
     if isinstance(value, str | bytes | os.PathLike):
         raise InputError(
-            f"{name} is {shown(value)}, but it must be an array. If that is a file, read it first: a recording by "
+            f"{name} is {shown(value)}, but it must be an array: read a file first, a recording by "
             f"scsr_opt.camera.read_recording, a picture by scsr_opt.report.read_picture, an .npy file by numpy.load."
         )
     if _masked(value):

@@ -104,7 +104,7 @@ CALLS = {
     },
     **{f"reconstruct(SPIKES, scale=1, {name}=None)": "leave it out" for name in ("settings", "shortcuts")},
     **{
-        f"Motion.of_velocity({value})": r"it must be \(2, h, w\) numbers"
+        f"Motion.of_velocity({value})": r"it must be (\(2, h, w\) numbers|an array)"
         for value in ("'x'", "b'x'", "[['a']]", "{}", "object()", "10**400")
     },
     **{f"write_film('a.gif', {value})": "give a list of them" for value in ("5", "None", "2.5", "RAMP.sum()")},

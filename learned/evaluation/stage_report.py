@@ -193,7 +193,7 @@ class Comparison:
         }
         return json.dumps(plain(content), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
-    def figure(self) -> Figure:
+    def figure(self) -> ShownFigure:
         """A row a model, a column a stage: X^(t), the part where there is most to see; before them the last one whole.
 
         A last row has the optimizer's converged solution and, where it is known, the truth.

@@ -19,8 +19,7 @@ from scsr_opt.pipeline.scene_summary import SceneSummary
 from scsr_opt.solvers.record import Stage, Status, TileIterations
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from scsr_opt.report.shown import ShownFigure
     from scsr_opt.report.summary import Report
 
 
@@ -151,7 +150,7 @@ class Solution:
         """How far that velocity can be trusted, in [0, 1]."""
         return None if self.motion is None else self.motion.confidence
 
-    def plot(self, **options: Any) -> "Figure":
+    def plot(self, **options: Any) -> "ShownFigure":
         """A figure of the picture beside playback, of its motion and convergence (`scsr_opt.report.figure`)."""
         from scsr_opt.report.figures import figure
 

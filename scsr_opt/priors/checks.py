@@ -47,6 +47,6 @@ def check_prox(prior: Prior[Any], strength: SupportsFloat, *, tolerance: Support
             if least > beside * most:
                 raise InputError(
                     f"{name}.prox does not give the minimum of strength · value(X) + ½‖X − v‖²: its picture has "
-                    f"{least:.6g}, a picture beside it {beside:.6g}. Either prox or value is wrong, for example by a "
+                    f"{least:.6g}, a picture beside it {beside:.6g}, so that prox or value is wrong, for example by a "
                     f"factor ½."
                 )

@@ -12,6 +12,7 @@ from .explore import explore
 from .figures import bicubic, compare, detailed_part, figure, scene_figure
 from .pictures import PictureFormat, check_film, film_rate, quantise, read_picture, write_film, write_picture
 from .progress import LineProgress, RichProgress
+from .shown import ShownFigure
 from .summary import Report, versions
 from .wipe import Wipe
 
@@ -20,6 +21,7 @@ __all__ = [
     "PictureFormat",
     "Report",
     "RichProgress",
+    "ShownFigure",
     "Wipe",
     "bicubic",
     "check_film",

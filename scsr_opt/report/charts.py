@@ -22,7 +22,6 @@ from jaxtyping import Float, Num
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
@@ -50,7 +49,7 @@ def spike_raster(
     key: int | None = None,
     pixels: Sequence[tuple[int, int]] | None = None,
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """One frame of a recording, and the spikes of some pixels along time.
 
     **Arguments:**
@@ -103,7 +102,7 @@ def zoomed_crops(
     scale: int = 1,
     parts: Sequence[tuple[int, int, int, int]] | None = None,
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """Chart of enlarged parts of several pictures: a row for each part, a column for each picture, one grey scale.
 
     **Arguments:**
@@ -147,7 +146,7 @@ def error_map(
     largest: float | None = None,
     label: str = "too dark   ←   intensity   →   too bright",
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """Where a picture is too bright (red) or too dark (blue), in intensity, 1 = white.
 
     **Arguments:**
@@ -181,7 +180,7 @@ def velocity_map(
     *,
     fastest: float | None = None,
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """A motion as colour (hue: direction, saturation: speed) with the wheel that explains it, and as arrows.
 
     **Arguments:**
@@ -217,7 +216,7 @@ def velocity_map(
     return drawn
 
 
-def convergence(solutions: Any, *, one_problem: bool = False, title: str | None = None) -> Figure:
+def convergence(solutions: Any, *, one_problem: bool = False, title: str | None = None) -> ShownFigure:
     """Objective and relative residual of every iteration.
 
     Objectives with different priors, strengths or recordings are values of different functions, which cannot be
@@ -269,7 +268,7 @@ def time_against_error(
     least: float | None = None,
     seconds: Mapping[str, Sequence[float]] | None = None,
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """How far each method is above the minimum, over time: (F(X^(t)) − F*) / F*.
 
     **Arguments:**
@@ -306,7 +305,7 @@ def stage_grid(
     stages: Sequence[int] = (1, 2, 4, 8),
     part: tuple[int, int, int, int] | None = None,
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """Pictures of the stages of optimizers and networks, a row a method; the last stage at the right, then the truth.
 
     **Arguments:**
@@ -355,7 +354,7 @@ def stage_grid(
 
 def _page(
     size: tuple[float, float], title: str | None, rows: int = 1, columns: int = 1, **layout: Any
-) -> tuple[Figure, Any]:
+) -> tuple[ShownFigure, Any]:
     """A figure with its axes, and room for a title above them."""
     across, high = size
     drawn = ShownFigure(

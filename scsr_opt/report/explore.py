@@ -5,16 +5,16 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from scsr_opt.errors import InputError
 from scsr_opt.report.charts import _page
 from scsr_opt.report.figures import _STYLE, _picture, _white_level
+from scsr_opt.report.shown import ShownFigure
 
 _EACH = 1.9  # inches of a still
 
 
-def explore(picture: Callable[..., Any], *, title: str | None = None, **values: Sequence[Any]) -> Figure:
+def explore(picture: Callable[..., Any], *, title: str | None = None, **values: Sequence[Any]) -> ShownFigure:
     """Stills of how a picture depends on its parameters, a row a parameter; in a notebook with ipywidgets also sliders.
 
         explore(lambda strength, key: solve(strength, key), strength=[0.001, 0.002, 0.004], key=[10, 20, 30])
@@ -27,7 +27,7 @@ def explore(picture: Callable[..., Any], *, title: str | None = None, **values: 
       for each still, and each time a slider moves.
     - `values`: name → values of a parameter, at least one.
 
-    **Returns:** a `Figure` of the stills, with one grey scale.
+    **Returns:** a figure of the stills, with one grey scale.
     """
     for name, allowed in values.items():
         if not len(allowed):

@@ -71,7 +71,7 @@ def figure(
     window: int = 21,
     truth: Num[Any, "H W"] | None = None,
     title: str | None = None,
-) -> Figure:
+) -> ShownFigure:
     """Draws a solution beside the playback of its recording.
 
     **Arguments:**
@@ -79,7 +79,7 @@ def figure(
     - `truth`: (H, W), the picture of the key frame where it is known.
     - `title`: over everything; none if None.
 
-    **Returns:** a matplotlib `Figure`; `figure.savefig(path)` writes it, a notebook shows it.
+    **Returns:** a matplotlib figure; `figure.savefig(path)` writes it, a notebook shows it.
     """
     from scsr_opt.camera import tfp
 
@@ -104,7 +104,7 @@ def compare(
     scale: int = 1,
     title: str | None = None,
     crop: tuple[int, int, int, int] | None = None,
-) -> Figure:
+) -> ShownFigure:
     """Pictures of one scene side by side, whole and enlarged; below, motion and convergence of `solution` if given.
 
     **Arguments:**
@@ -173,7 +173,7 @@ _OF_KIND = {
 }
 
 
-def scene_figure(solution: Solution, *, title: str | None = None) -> Figure:
+def scene_figure(solution: Solution, *, title: str | None = None) -> ShownFigure:
     """Kinds of the tiles of a scene, in colour over the picture, and in words; beside it, where tiles were iterated one
     by one, the iterations of each of them.
 

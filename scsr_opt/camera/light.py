@@ -58,9 +58,12 @@ class Light:
         `pixel`: number of each entry's pixel, row by row; all of them in order by default.
         """
         grid, sums = self._table
-        shares = self._by_pixel if self.uniform else self._by_pixel[:, pixel]
-        each = [np.interp(time, grid, one) * share for one, share in zip(sums, shares, strict=True)]
-        return np.sum(each, axis=0).astype(np.float32)
+        total = np.zeros(np.shape(time))
+        for one, share in zip(sums, self._by_pixel, strict=True):  # one at a time: there are millions of entries
+            now = np.interp(time, grid, one)
+            now *= share if self.uniform else share[pixel]
+            total += now
+        return total.astype(np.float32)
 
     def over(self, edges: Float[np.ndarray, " edges"]) -> Float[np.ndarray, "n rows columns"]:
         """Mean light between neighbouring edges, frames."""

@@ -53,7 +53,8 @@ class Measurements(NamedTuple):
 
         `noise`: standard deviation of a pixel's mean without fixed pattern, intensity.
         """
-        padded = with_gain(self.samples, gain).padded()
+        value = with_gain(self.samples, gain).value
+        padded = eqx.tree_at(lambda s: s.value, self.padded, np.pad(value, (0, self.padded.row.size - value.size)))
         share = share_of_unknown_gain(self.samples, gain, known, noise)[padded.row, padded.column]
         placed = eqx.tree_at(
             lambda p: (p.value, p.weight),

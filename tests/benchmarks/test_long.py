@@ -3,11 +3,11 @@
 from benchmarks.long import looped, quarters
 
 
-def test_looped_recording_repeats_whole_frames(tmp_path):
+def test_looped_recording_repeats_whole_frames_in_each_quarter(tmp_path):
     for name, content in (("a", b"\1\2\3\4!"), ("b", b"\5\6")):
         (tmp_path / name).write_bytes(content)
-    made = looped([tmp_path / "a", tmp_path / "b"], tmp_path / "made", 2, 5)
-    assert made.read_bytes() == b"\1\2\3\4\5\6\1\2\3\4"
+    made = looped([tmp_path / "a", tmp_path / "b"], tmp_path / "made", 2, 16)
+    assert made.read_bytes() == 4 * b"\1\2\3\4\5\6\1\2"
 
 
 def test_quarters_have_their_own_peaks():

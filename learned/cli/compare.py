@@ -45,9 +45,9 @@ def compare(
     strength: Annotated[
         float | None,
         Parameter(
-            help="Strength (lambda) of total variation in the shared problem; other priors take it times their "
-            "relative strength. Default: by cross-validation on held-out measurements. scsr solve finds that of each "
-            "prior anew."
+            help="Strength (lambda) of Huber-TV, the prior of fista-huber; other priors take this number times their "
+            "relative strength. Default: by cross-validation on held-out measurements. (scsr solve finds the strength "
+            "of each prior anew.)"
         ),
     ] = None,
     costs: Annotated[
@@ -60,8 +60,8 @@ def compare(
     """Compare optimizers and networks stage by stage on one moment of a recording.
 
     The picture after each stage of each model is measured alike: by the objective that fista-huber minimises (misfit to
-    the spikes plus total variation), by its distance from the converged solution, and by how much the stage changed it.
-    The table says which objective each model itself minimises, and what each column means. Optimizer and network are
+    the spikes plus Huber-TV), by its distance from the converged solution, and by how much the stage changed it. The
+    table says which objective each model itself minimises, and what each column means. Optimizer and network are
     also started at each other's picture.
     """
     names = [name.strip() for name in models.split(",") if name.strip()]

@@ -14,8 +14,9 @@ def train(
         Parameter(
             help="A .toml file, or a configuration of the package: the id of a model, NAME-x2 or NAME-x4 with NAME one "
             "of unrolled, unrolled-pase, spikesr-plain (as in the paper), spikesr-small and spikesr-full (with an "
-            "estimate of velocity), ridge-centred (for quality best; also -x1); a part of one, velocity or "
-            "compensation-x2, -x4; or smoke, a test of half a minute in which the network learns nothing."
+            "estimate of velocity), ridge-centred (for --quality best; also ridge-centred-x1); a part of a model: "
+            "velocity, compensation-x2 or compensation-x4; or smoke, a test of half a minute in which the network "
+            "learns nothing."
         ),
     ],
     /,

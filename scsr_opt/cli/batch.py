@@ -44,11 +44,12 @@ def batch(
         Path,
         Parameter(
             name=["--output", "-o"],
-            help="Folder for the pictures and their reports (.json), by the names of the recordings. It is made.",
+            help="Folder for the pictures and their reports (.json), which are named after the recordings. The folder "
+            "is made if it is not there.",
         ),
     ],
     format: Annotated[
-        Literal["png", "tif", "npz"], Parameter(help="Of the pictures: png (8 bit), tif (16 bit), npz (float).")
+        Literal["png", "tif", "npz"], Parameter(help="Format of the pictures: png (8 bit), tif (16 bit), npz (float).")
     ] = "png",
     scale: Annotated[
         Whole, Parameter(help="Pixels of the pictures per sensor pixel, along each axis: 1, 2, 3, 4, …")
@@ -65,9 +66,9 @@ def batch(
 ) -> int:
     """Solve for the super-resolved picture of one moment of each of many recordings.
 
-    Each is solved for as by scsr solve, all with the same options. One that cannot be read or solved for does not stop
-    the others. A table of all is printed at the end; the exit code is 1 if any failed, and 2 if no solve could be
-    begun. Recordings of several folders get folders of their own.
+    Each recording is solved for as by scsr solve, all with the same options. A recording that cannot be read or solved
+    for does not stop the others. A table of all recordings is printed at the end; the exit code is 1 if any failed, and
+    2 if no solve could be begun. Recordings of several folders get folders of their own.
     """
     white_of_picture(Path(f"a.{format}"), None, white)
     for name, value in (("scale", scale), ("frames", frames)):

@@ -39,7 +39,7 @@ Bits = Annotated[
 ]
 Gamma = Annotated[
     float | None,
-    Parameter(help="Of a film and of .png: store intensity^(1/gamma). Default: 1, linear; 2.2 is what viewers expect."),
+    Parameter(help="For films and .png: store intensity^(1/gamma). Default: 1, linear; 2.2 is what viewers expect."),
 ]
 
 
@@ -59,7 +59,7 @@ def sequence(
         Path,
         Parameter(
             name=["--output", "-o"],
-            help=f"What to write. {_OUTPUT} Of a stream: a folder, or with --latest a .png, .tif or .npz.",
+            help=f"What to write. {_OUTPUT} For a stream: a folder, or with --latest a .png, .tif or .npz.",
         ),
     ],
     scale: Annotated[
@@ -78,7 +78,7 @@ def sequence(
         Parameter(
             negative="",
             show_default=False,
-            help="Of a stream: write the newest picture alone, to the file OUTPUT, which each one replaces.",
+            help="For a stream: write the newest picture alone, to the file OUTPUT, which each new picture replaces.",
         ),
     ] = False,
     frames: Annotated[
@@ -118,8 +118,8 @@ def sequence(
     of an undisturbed run. Unless the output is a .zarr, pictures are kept in OUTPUT.unfinished.zarr until all of them
     are solved for.
 
-    Of a stream (FILE is -), each picture is solved for alone, while the stream goes on. Key frames that come meanwhile
-    are dropped, except the newest one, and counted.
+    From a stream (FILE is -), each picture is solved for alone, while the stream goes on. Of the key frames that come
+    meanwhile, all but the newest one are dropped, and counted.
     """
     solving, reading = solving or Solving(), reading or Reading()
     for name, value in (("scale", scale), ("frames", frames), ("group", group), ("workers", workers)):

@@ -57,9 +57,9 @@ class Motion:
     ] = None
     zoom: Annotated[float | None, Parameter(help="Relative growth per frame of an affine scene. Default: 0.")] = None
     shear: Annotated[float | None, Parameter(help="Columns per row and frame. Default: 0.")] = None
-    radius: Annotated[float | None, Parameter(help="Of the disc, sensor pixels. Default: 0.4 of the shorter side.")] = (
-        None
-    )
+    radius: Annotated[
+        float | None, Parameter(help="Radius of the disc, sensor pixels. Default: 0.4 of the shorter side.")
+    ] = None
     readouts: Annotated[
         float | None, Parameter(help="Spike frames from one frame of a video to the next. Default: 16.")
     ] = None
@@ -140,7 +140,9 @@ class Camera:
     photons: Annotated[float, Parameter(help="Photons per frame of a white pixel: fewer is more shot noise.")] = (
         math.inf
     )
-    dark_rate: Annotated[float, Parameter(help="Thermal charge per frame, as the intensity that gives it.")] = 0.0
+    dark_rate: Annotated[
+        float, Parameter(help="Thermal charge per frame, as the intensity of light that would give as much.")
+    ] = 0.0
     fixed_pattern: Annotated[
         float, Parameter(help="Standard deviation of the pixels' gain; of real cameras about 0.06.")
     ] = 0.0
@@ -177,7 +179,7 @@ def simulate(
         Whole | None, Parameter(help="Frame in which the pictures are not displaced. Default: the middle one.")
     ] = None,
     readout_rate: Annotated[float, Parameter(help="Frames per second, Hz; noted in the recording.")] = 40_000.0,
-    seed: Annotated[Whole, Parameter(help="Of the random numbers; the same one gives the same recording.")] = 0,
+    seed: Annotated[Whole, Parameter(help="Seed of the random numbers; the same seed gives the same recording.")] = 0,
     truth: Annotated[
         Path | None, Parameter(help="Also write the true picture of the key frame here (.png, .tif, .npz).")
     ] = None,

@@ -88,7 +88,7 @@ class Solving:
         Literal["fast", "best"],
         Parameter(
             help="best: a network improves the picture, and a second solve, with a prior around the network's picture, "
-            "makes it agree with the data: a better picture of most scenes in one to three times the time; small "
+            "makes it agree with the data. Most scenes become better, in one to four times the time of fast; small "
             "letters and fine patterns may become worse."
         ),
     ] = "fast"
@@ -118,8 +118,8 @@ class Solving:
         Solver,
         Parameter(
             help="All solvers find the same picture if the prior is convex. auto: fista, or data-proximal if nothing "
-            "moves and no --iterations are given; ista: Eq. 5 of the paper. data-proximal, nonlinear-cg and lbfgs are "
-            "for --prior ridge and huber."
+            "moves, the prior is weak enough and --iterations is not given; ista: Eq. 5 of the paper. data-proximal, "
+            "nonlinear-cg and lbfgs are for --prior ridge and huber."
         ),
     ] = "auto"
     iterations: Annotated[

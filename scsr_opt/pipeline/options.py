@@ -103,7 +103,7 @@ class Options:
     - `optics`: the lens, as a `Blur` of the high-resolution picture; "estimate" for the Gaussian one that predicts
       held-out pixels best, at the cost of seven solves (`estimate_gaussian_optics`). None: a perfect lens.
     - `quality`: "fast", the default, or "best": a network restores the solution, and Eq. 4 is solved again with the
-      prior centred at the network's picture (`scsr_opt.pipeline.restoration`), in one to three times the time. If the
+      prior centred at the network's picture (`scsr_opt.pipeline.restoration`), in one to four times the time. If the
       result predicts held-out samples worse than the picture without the network, the latter is solved for. A
       `Restoration` takes the place of that network.
     - `prior`: Ψ; if None, the learned `RidgeRegulariser` up to a scale of 3, above it `HuberTotalVariation`.

@@ -23,8 +23,8 @@ UNEXPLAINED_SHARE = 0.1
 """`Diagnostics.light_unexplained` from which on a reader is told."""
 CONTRADICTED = 1.05
 """Misfit of the picture of `quality="best"` over that of the first solution, above which a reader is told that the
-measurements contradict the network's picture. Of 150 recordings that were made to fool the network, only some with dead
-rows were above it (docs/learned.md)."""
+measurements contradict the network's picture. Of 150 recordings that were made to fool the network, none has more than
+1.04 (docs/learned.md)."""
 # Kinds of bad pixels (`scsr_opt.calibration.PixelKind`) for a reader.
 _KINDS = {
     "given": "as marked",

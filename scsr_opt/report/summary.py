@@ -36,7 +36,7 @@ _KINDS = {
 _VERSIONS_OF = ("scsr-opt", "jax", "jaxlib", "equinox", "jaxopt", "optimistix", "numpy", "scipy", "scikit-image")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """A solution's numbers, without its arrays.
 
@@ -154,8 +154,8 @@ class Report:
         lines.append(f"{self.diagnostics['iterations']} iterations. {self.status['message']}{took}")
         return lines
 
-    def __str__(self) -> str:
-        """The lines for a reader."""
+    def __repr__(self) -> str:
+        """The lines for a reader, also as the last line of a notebook's cell; `json` has all."""
         return "\n".join(self.lines())
 
     def json(self) -> str:

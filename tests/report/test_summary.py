@@ -178,4 +178,4 @@ def test_lines_say_what_a_network_did(solution, found, said):
     changed = dataclasses.replace(solution, diagnostics=dataclasses.replace(solution.diagnostics, **found))
     report = changed.report()
     assert [line for line in report.lines() if line.startswith("Quality")] == said
-    assert str(report) == "\n".join(report.lines())
+    assert str(report) == repr(report) == "\n".join(report.lines())

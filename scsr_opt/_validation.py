@@ -87,7 +87,7 @@ def rectangle(crop: Any, name: str = "crop") -> tuple[int, int, int, int]:
 
 def pixel_gain(gain: ArrayLike, height: int, width: int) -> Float[np.ndarray, "h w"]:
     """`gain` as float32 (h, w). **Raises:** `InputError` if it has another shape or is not finite and above 0."""
-    array = as_array(gain, "gain")
+    array = np.asarray(gain) if isinstance(gain, str) else as_array(gain, "gain")  # a word that is none of the two
     kind = "a complex array" if np.iscomplexobj(array) else "an array"
     try:
         found = None if np.iscomplexobj(array) else array.astype(np.float32)  # a copy

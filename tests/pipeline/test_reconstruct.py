@@ -179,8 +179,8 @@ def test_small_sensors_before_which_something_moves(shape):
         ({"strength": float("nan")}, "strength is nan; it must be a finite number from 0 to 1e+18."),
         ({"strength": 1e38}, "strength is 1e+38; it must be a finite number from 0 to 1e+18."),
         ({"strength": np.complex64(1j)}, "it must be a finite number from 0 to 1e+18."),
-        ({"prior": PlugAndPlay(nl_means())}, "No strength is given, and that of PlugAndPlay cannot be set from"),
-        ({"prior": Bounded(PlugAndPlay(nl_means()))}, "No strength is given, and that of Bounded cannot be set from"),
+        ({"prior": PlugAndPlay(nl_means())}, "No strength is given, and PlugAndPlay has no relative_strength"),
+        ({"prior": Bounded(PlugAndPlay(nl_means()))}, "No strength is given, and Bounded has no relative_strength"),
         (
             {"prior": RED(NumpyDenoiser(lambda image, sigma: image[:4]))},
             "The denoiser gave float32 of shape (4, 18) for a picture of shape (16, 18); it must give a float array",

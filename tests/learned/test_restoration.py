@@ -178,6 +178,7 @@ def test_a_second_solve_about_the_first_solution(recording, silent):
     assert [stage.number for stage in found.stages] == list(range(1, len(found.stages) + 1))
     assert {"solving", "restoring"} <= set(found.diagnostics.seconds)
     assert found.diagnostics.strength == first.diagnostics.strength
+    assert found.diagnostics.strength is not None
     assert found.diagnostics.centred_strength == pytest.approx(2 * found.diagnostics.strength)
     assert (found.diagnostics.quality, first.diagnostics.quality) == ("best", "fast")
     assert found.diagnostics.restored_deviations is None  # a strength was given

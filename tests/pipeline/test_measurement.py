@@ -199,7 +199,7 @@ def test_used_frames_are_those_before_and_after_the_key_frame_whose_samples_have
 def test_measurements_that_are_let_go_cannot_be_read(spikes):
     taken = measurements(spikes, 0.09)
     gains = taken.with_gain(np.ones((HEIGHT, WIDTH)), np.ones((HEIGHT, WIDTH), bool), 0.01)
-    picture = np.zeros(taken.placed.shape, np.float32)
+    picture = jnp.zeros(taken.placed.shape)
     taken.placed.read(picture)
     taken.let_go()
     for gone in (taken, gains):  # they share their places

@@ -4,12 +4,13 @@ import dataclasses
 import re
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from scsr_opt import InputError, Options, Recording, Shortcuts
 from scsr_opt.camera import Intervals, Windows
-from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, RidgeRegulariser, nl_means
+from scsr_opt.priors import HuberTotalVariation, PlugAndPlay, Prior, RidgeRegulariser, nl_means
 from scsr_opt.solvers import FISTA
 
 RECORDING = Recording.from_array(np.zeros((31, 8, 9), np.uint8))
@@ -75,13 +76,18 @@ def test_validated_prior_without_a_relative_strength_needs_one():
     assert Options(prior=prior, strength=1e-3).validated(RECORDING, 2).prior is prior
 
 
-class AMethod(HuberTotalVariation):
-    def relative_strength(self):  # pyright: ignore[reportIncompatibleMethodOverride]
+class AMethod(Prior[None]):
+    def value(self, image):
+        return jnp.sum(image**2)
+
+    def relative_strength(self):  # pyright: ignore[reportIncompatibleVariableOverride, reportIncompatibleMethodOverride]
         return 2.0
 
 
-class Negative(HuberTotalVariation):
-    relative_strength = -1.0
+class Negative(AMethod):
+    @property
+    def relative_strength(self) -> float:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return -1.0
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def races(size: Size) -> list[Race]:
     momentum, splitting = solvers.FISTA(iterations=size.exact), solvers.ADMM(iterations=2 * size.exact)
     few: dict[str, tuple[Solver, int]] = {f"FISTA, {steps} dual steps": (fista, steps) for steps in (4, 10, 20)}
     tv = few | {
-        "FISTA, 4, Backtracking": (solvers.FISTA(step_size=solvers.Backtracking()), 4),
+        "FISTA, 4 dual steps, Backtracking": (solvers.FISTA(step_size=solvers.Backtracking()), 4),
         "ISTA": (solvers.ISTA(), 4),
         "ADMM": (admm, 4),
         "ChambollePock": (solvers.ChambollePock(), 4),

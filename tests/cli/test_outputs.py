@@ -62,7 +62,7 @@ def test_a_comparison_that_is_there_is_refused(scsr, here, name):
     (here / "out").mkdir()
     (here / "out" / name).write_text("old")
     said = scsr("compare", "ramp.npz", "--models", "fista-tv", "-o", "out", code=2)
-    assert f"out/{name} is there already: give --overwrite" in said and os.listdir("out") == [name]
+    assert f"--output out holds {name} already: give --overwrite" in said and os.listdir("out") == [name]
 
 
 def test_an_input_is_never_overwritten(scsr):

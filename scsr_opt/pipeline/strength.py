@@ -303,7 +303,7 @@ class StrengthSearch:
         difference = partial(_Fold.difference, restoration=self.restoration, prior=self.prior)
         sums = in_threads(lambda fold: difference(fold, strength=found.strength, usual=usual), folds)
         worse, squares = np.sum(sums, 0)
-        deviations = float(worse / squares**0.5) if squares > 0 else 0.0
+        deviations = float(worse / squares**0.5) if squares != 0 else 0.0
         # Not where it is NaN: the solve reports what is not finite.
         if not deviations > settings.restoration_deviations:
             return found._replace(deviations=deviations)

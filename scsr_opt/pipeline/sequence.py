@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike
 
 from scsr_opt._kernels.programs import ready
 from scsr_opt._validation import whole
-from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.recording import Recording
 from scsr_opt.camera.white import White, find_white_around
 from scsr_opt.errors import InputError, shown
@@ -94,24 +93,11 @@ def _frames(keys: Any, recording: Recording) -> tuple[int, ...]:
     return tuple(whole(key, f"keys[{number}]", 0, recording.frames - 1) for number, key in enumerate(frames))
 
 
-def common(recording: Recording, keys: tuple[int, ...], scale: int, options: Options) -> tuple[Options, White]:
-    """Options and white that all pictures of a sequence share. Bad pixels, where they are to be found, are those of its
-    middle picture."""
-    if options.finds_bad_pixels:
-        options = replace(options, bad_pixels=_bad_pixels(task_of(recording, scale, keys[len(keys) // 2], options)))
-    return options, _white(recording, keys, options)
-
-
-def _bad_pixels(task: Task) -> BadPixels:
-    """Bad pixels for all pictures of a sequence, as its middle one finds them."""
-    frames = task.motion_frames(task.options.known_gain)
-    bad = task.without(task.find_resting(frames, task.estimate_motion(frames))).bad
-    return BadPixels.none(task.clip.shape) if bad is None else bad
-
-
-def _white(recording: Recording, keys: tuple[int, ...], options: Options) -> White:
-    """White of all pictures of a sequence, from the light of all their frames."""
+def white_of_sequence(recording: Recording, keys: Sequence[int], scale: int, options: Options) -> White:
+    """White of all pictures of a sequence, from the light of all their frames, without the isolated pixels that its
+    middle picture finds."""
     part = recording if options.crop is None else recording.crop(*options.crop)
+    middle = task_of(recording, scale, keys[len(keys) // 2], replace(options, light="constant"))
     frames, rate = whole(options.frames, "frames", 1), options.white_rate
     return find_white_around(
         part,
@@ -119,7 +105,7 @@ def _white(recording: Recording, keys: tuple[int, ...], options: Options) -> Whi
         max(keys),
         frames,
         white_rate=None if rate is None else float(rate),
-        bad_pixels=options.bad_pixels.mask if isinstance(options.bad_pixels, BadPixels) else None,
+        bad_pixels=middle.clip.bad_pixels,
         settings=options.settings.white,
     )
 
@@ -128,12 +114,14 @@ class _Followed(NamedTuple):
     """A motion that was estimated, and what is carried on with it.
 
     **Fields:** `motion`, at frame `since`; `contradicted`, the share of the pixels that contradicted it then;
-    `options` of the pictures that follow: the gains, and where it was validated, the strength and what it is for.
+    `bad_pixels`, the option, with the pixels that were found; `options` of the pictures that follow: the gains, and
+    where it was validated, the strength and what it is for.
     """
 
     motion: Motion
     since: int
     contradicted: float
+    bad_pixels: Any
     options: dict[str, Any]
 
 
@@ -171,26 +159,28 @@ def _pictures(
     options: Options,
     progress: Progress | None,
 ) -> Generator[Solution, None, None]:
-    options, white = common(recording, keys, scale, options)
-    settings = options.settings.sequence
+    white, settings = white_of_sequence(recording, keys, scale, options), options.settings.sequence
 
-    def assembled(key: SupportsIndex, followed: _Followed | None) -> tuple[_Moment, Assembly]:
+    def assembled(key: int, followed: _Followed | None) -> tuple[_Moment, Assembly]:
         """Motion and problem at a key frame."""
+        if followed is not None and _reaches(followed, key, settings):
+            task = task_of(recording, scale, key, replace(options, bad_pixels=followed.bad_pixels))
+            frames = task.motion_frames(task.options.known_gain)
+            motion = _carried(followed, frames, task)
+            if motion is not None:
+                changes = Options.of(task.options, {"motion": motion, **followed.options})
+                assembly = assemble_task(task_of(recording, scale, key, changes))
+                solver = assembly.method.solver
+                solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
+                assembly = replace(assembly, method=replace(assembly.method, solver=solver))
+                return _Moment(task, frames, motion, followed), assembly
         task = task_of(recording, scale, key, options)
         frames = task.motion_frames(task.options.known_gain)
-        motion = None if followed is None else _carried(followed, frames, task)
-        if followed is None or motion is None:
-            assembly = assemble_task(task)
-            kept = _kept_options(task.options, assembly.gain, assembly.strength, assembly.restores)
-            share = _contradicted(frames, assembly.motion, task)
-            followed = _Followed(assembly.motion, task.clip.key_frame, share, kept)
-        else:
-            changes = Options.of(options, {"motion": motion, **followed.options})
-            assembly = assemble_task(task_of(recording, scale, task.clip.key_frame, changes))
-            solver = assembly.method.solver
-            solver = replace(solver, tolerance=settings.tolerance_factor * solver.tolerance)
-            assembly = replace(assembly, method=replace(assembly.method, solver=solver))
-        return _Moment(task, frames, motion, followed), assembly
+        assembly = assemble_task(task)
+        share = _contradicted(frames, assembly.motion, task)
+        kept = _kept_options(task.options, assembly.gain, assembly.strength, assembly.restores)
+        followed = _Followed(assembly.motion, key, share, assembly.task.options.bad_pixels, kept)
+        return _Moment(task, frames, None, followed), assembly
 
     done, followed, before = 0, None, None
     while done < len(keys):
@@ -207,7 +197,7 @@ def _pictures(
                     known = solution.diagnostics
                     kept = _kept_options(now.task.options, solution.gain, known.strength, known.restored is True)
                     share = _contradicted(now.frames, solution.motion, now.task)
-                    followed = _Followed(solution.motion, now.key, share, kept)
+                    followed = followed._replace(motion=solution.motion, contradicted=share, options=kept)
                 before = None if followed is None else (now.key, solution)
                 done += 1
                 yield solution.handed_out()
@@ -216,8 +206,8 @@ def _pictures(
 
 
 def _ahead(
-    assembled: Callable[[SupportsIndex, _Followed | None], tuple[_Moment, Assembly]],
-    keys: Sequence[SupportsIndex],
+    assembled: Callable[[int, _Followed | None], tuple[_Moment, Assembly]],
+    keys: Sequence[int],
     followed: _Followed | None,
 ) -> Generator[tuple[_Moment, Assembly], None, None]:
     """Motion and problem at each key frame, each made in a thread while the one before it is used. Nothing here holds
@@ -262,8 +252,6 @@ def _where_seen(
 def _carried(followed: _Followed, frames: MotionFrames | None, task: Task) -> Motion | None:
     """The motion at the task's key frame, with its trust; None if the recording contradicts it."""
     key, settings, limits = task.clip.key_frame, task.options.settings.motion, task.options.settings.sequence
-    if not _reaches(followed, key, limits):
-        return None
     motion = carry(followed.motion, key - followed.since, settings.trajectory)
     if frames is not None:
         motion = relabelled(frames, motion, settings)

@@ -3,12 +3,12 @@
     image        (T, H, W)     float32  intensity, 1 = white; one chunk a picture
     velocity     (T, 2, h, w)  float32  sensor pixels per frame, down and right
     confidence   (T, h, w)     float32  of the velocity, 0 to 1
+    bad_pixels   (T, h, w)     uint8    pixels that were not used, by kind (`calibration.PixelKind`)
     t, y, x      (T,) (H,) (W,)         seconds, sensor pixels: the coordinates of `image`
     key_frame    (T,)                   of each picture
     status       (T,)          uint8    0: not there; others: how the solve ended (its attribute `meanings`)
     motion_from  (T,)                   key frame at which the motion was estimated; another one where it was carried on
     iterations, strength  (T,)          of the solve
-    bad_pixels   (h, w)        uint8    pixels that were not used, by kind (`calibration.PixelKind`)
 
 `status` has one chunk for each group of pictures, written last.
 """
@@ -19,19 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
 from scsr_opt.sequences.plan import Plan, versions
 from scsr_opt.solvers.record import Status
 
-FORMAT = 1
+FORMAT = 2
 """Number of this layout of arrays and attributes; a store with another one is refused."""
 METADATA = "zarr.json"
 """File with the attributes of a store."""
 STATUS_CODES = {status: number for number, status in enumerate(Status, 1)}
 """Numbers of `status`; 0 is a picture that is not there."""
-PICTURE = ("image", "velocity", "confidence")
+PICTURE = ("image", "velocity", "confidence", "bad_pixels")
 """Arrays with a chunk for each picture."""
 RESULTS = {
     "motion_from": ("int64", -1),
@@ -62,16 +61,16 @@ def is_store(path: Path) -> bool:
         return False
 
 
-def lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) -> None:
+def lay_out(path: Path, plan: Plan, white: White) -> None:
     """Makes the group and its arrays, with those that do not wait for pictures filled in."""
     zarr = need_zarr()
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     scale, pictures = plan.scale, len(plan.keys)
     height, width = plan.part.height, plan.part.width
-    fixed = fixed_arrays(plan, bad_pixels)
+    fixed = fixed_arrays(plan)
     corner = [float(fixed[name][0]) for name in ("t", "y", "x")]
-    attributes = _attributes(plan, corner, white, bad_pixels is not None)
+    attributes = _attributes(plan, corner, white)
     arrays = zarr.create_group(path, zarr_format=3, attributes=attributes)
     checked = Crc32cCodec()
 
@@ -83,7 +82,9 @@ def lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) 
     size = (scale * height, scale * width)
     add("image", (pictures, *size), (1, *size), ("t", "y", "x"))
     add("velocity", (pictures, 2, height, width), (1, 2, height, width), ("t", "direction", "row", "column"))
-    add("confidence", (pictures, height, width), (1, height, width), ("t", "row", "column"))
+    sensor = {"shape": (pictures, height, width), "chunks": (1, height, width), "names": ("t", "row", "column")}
+    add("confidence", **sensor)
+    add("bad_pixels", **sensor, dtype="uint8", fill_value=0)
     for name, (kind, missing) in RESULTS.items():
         add(name, (pictures,), (plan.group,), ("t",), dtype=kind, fill_value=missing)
     arrays["status"].attrs["meanings"] = {"0": "not there"} | {
@@ -91,15 +92,20 @@ def lay_out(path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) 
     }
     for name, values in fixed.items():
         kinds = {"dtype": values.dtype, "fill_value": {"f": float("nan"), "i": -1}.get(values.dtype.kind, 0)}
-        names = ("row", "column") if name == "bad_pixels" else (name if name in "tyx" else "t",)
-        add(name, values.shape, values.shape, names, config={"write_empty_chunks": True}, **kinds)[:] = values
+        add(
+            name,
+            values.shape,
+            values.shape,
+            (name if name in "tyx" else "t",),
+            config={"write_empty_chunks": True},
+            **kinds,
+        )[:] = values
 
 
-def _attributes(plan: Plan, corner: list[float], white: White, bad_pixels: bool) -> dict[str, Any]:
+def _attributes(plan: Plan, corner: list[float], white: White) -> dict[str, Any]:
     """Attributes of the group: OME-Zarr's, and ours.
 
-    **Arguments:** `corner`: (t, y, x) of the first pixel of the first picture, in seconds and sensor pixels;
-    `bad_pixels`: whether they were looked for.
+    **Arguments:** `corner`: (t, y, x) of the first pixel of the first picture, in seconds and sensor pixels.
     """
     step = [plan.keys.step / plan.recording.readout_rate, 1 / plan.scale, 1 / plan.scale]
     return {
@@ -141,12 +147,11 @@ def _attributes(plan: Plan, corner: list[float], white: White, bad_pixels: bool)
             "versions": versions(),
             "sequence": plan.description,
             "white": {"level": white.level, "found": white.found, "reason": white.reason},
-            "bad_pixels": bad_pixels,
         },
     }
 
 
-def fixed_arrays(plan: Plan, bad_pixels: BadPixels | None) -> dict[str, np.ndarray]:
+def fixed_arrays(plan: Plan) -> dict[str, np.ndarray]:
     """The arrays that do not wait for pictures, by their names."""
     part, scale = plan.part, plan.scale
     top, left = (0, 0) if plan.options.crop is None else (int(plan.options.crop[0]), int(plan.options.crop[1]))
@@ -157,7 +162,6 @@ def fixed_arrays(plan: Plan, bad_pixels: BadPixels | None) -> dict[str, np.ndarr
         "y": top + first + np.arange(scale * part.height) / scale,
         "x": left + first + np.arange(scale * part.width) / scale,
         "key_frame": np.asarray(plan.keys, np.int64),
-        "bad_pixels": np.zeros((part.height, part.width), np.uint8) if bad_pixels is None else bad_pixels.kind,
     }
 
 

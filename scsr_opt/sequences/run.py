@@ -2,16 +2,15 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from scsr_opt._kernels.memory import give_memory_back
 from scsr_opt._kernels.programs import ready
-from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera.white import White
 from scsr_opt.errors import InputError
-from scsr_opt.pipeline.sequence import common, reconstruct_sequence
+from scsr_opt.pipeline.sequence import reconstruct_sequence, white_of_sequence
 from scsr_opt.progress import NoProgress, Progress, check_progress
 from scsr_opt.sequences.cluster import Workers, solve_by_workers
 from scsr_opt.sequences.files import held, remove, tidy
@@ -108,11 +107,9 @@ def solve_group(store: SequenceStore, plan: Plan, number: int, solved: Callable[
     """
     numbers = store.groups[number]
     keys = [plan.keys[one] for one in numbers]
-    bad = store.bad_pixels
-    options = plan.options if bad is None else replace(plan.options, bad_pixels=bad)
     results: dict[str, list] = {"status": [], "motion_from": [], "iterations": [], "strength": []}
     origin = keys[0]
-    solutions = reconstruct_sequence(plan.recording, keys, scale=plan.scale, options=options)
+    solutions = reconstruct_sequence(plan.recording, keys, scale=plan.scale, options=plan.options)
     for one, key, solution in zip(numbers, keys, solutions, strict=True):
         store.write_picture(one, solution)
         give_memory_back()
@@ -139,18 +136,17 @@ def _prepared(place: Path, plan: Plan, overwrite: bool) -> SequenceStore:
                 raise
         else:
             tidy(place)
-            store.mend_fixed(plan, lambda: _looked_for(plan)[0])
+            store.mend_fixed(plan)
             return store
-    return SequenceStore.create(place, plan, *_looked_for(plan))
+    return SequenceStore.create(place, plan, _white_of(plan))
 
 
-def _looked_for(plan: Plan) -> tuple[BadPixels | None, White]:
-    """What is found in the recording for all pictures: bad pixels, None where none are looked for, and white."""
+def _white_of(plan: Plan) -> White:
+    """White of all pictures of a plan."""
+    if plan.white is not None:
+        return plan.white
     ready()
-    options, white = common(plan.recording, tuple(plan.keys), plan.scale, plan.options)
-    bad = options.bad_pixels if plan.options.finds_bad_pixels else None
-    assert bad is None or isinstance(bad, BadPixels)
-    return bad, white if plan.white is None else plan.white
+    return white_of_sequence(plan.recording, plan.keys, plan.scale, plan.options)
 
 
 def _metered(meter: Progress, total: int, what: str, work: Callable[[Callable[[int], None]], Result]) -> Result:

@@ -8,7 +8,6 @@ second run would do the same work and write the same bits; a lock keeps it from 
 import json
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -66,10 +65,10 @@ class SequenceStore:
         White.given(self.white.level)
 
     @classmethod
-    def create(cls, path: Path, plan: Plan, bad_pixels: BadPixels | None, white: White) -> "SequenceStore":
+    def create(cls, path: Path, plan: Plan, white: White) -> "SequenceStore":
         """A new store without pictures, in the place of one that may be at `path`; to be called with its lock held.
 
-        **Arguments:** `bad_pixels`: that no picture uses, None where none are looked for; `white`: of all pictures.
+        **Arguments:** `white`: of all pictures.
 
         **Raises:** `InputError` if it cannot be written.
         """
@@ -77,7 +76,7 @@ class SequenceStore:
         with writing(path):
             for left in (new, old):  # by a run that was killed
                 shutil.rmtree(left, ignore_errors=True)
-            lay_out(new, plan, bad_pixels, white)
+            lay_out(new, plan, white)
             if path.exists():
                 os.replace(path, old)
             os.replace(new, path)
@@ -119,7 +118,7 @@ class SequenceStore:
 
     def _check_arrays(self) -> None:
         pictures = len(self.keys)
-        fixed = ("y", "x", "bad_pixels")
+        fixed = ("y", "x")
         names = (*PICTURE, "t", "key_frame", *fixed, *RESULTS)
         wrong = [name for name in names if name not in self._arrays or name not in fixed and
                  self._array(name).shape[0] != pictures]  # fmt: skip
@@ -145,13 +144,6 @@ class SequenceStore:
         """(h, w): rows and columns of the velocities."""
         _, rows, columns = self._array("confidence").shape
         return rows, columns
-
-    @property
-    def bad_pixels(self) -> BadPixels | None:
-        """Bad pixels that no picture uses; None where none were looked for."""
-        if not self._attributes["bad_pixels"]:
-            return None
-        return BadPixels(self._read("bad_pixels", slice(None)))
 
     @property
     def groups(self) -> list[range]:
@@ -184,6 +176,7 @@ class SequenceStore:
             self._array("image")[number] = solution.image
             for name, values in (("velocity", solution.velocity), ("confidence", solution.confidence)):
                 self._array(name)[number] = np.nan if values is None else values
+            self._array("bad_pixels")[number] = 0 if solution.bad_pixels is None else solution.bad_pixels.kind
 
     def write_results(self, numbers: range, solutions: dict[str, list[Any]]) -> None:
         """Writes what is known of the pictures of a group, of which all are written, and marks the group as done.
@@ -223,6 +216,7 @@ class SequenceStore:
                     if not np.isfinite(self.picture(number)).all():
                         return False
                     self.motion(number)
+                    self.bad_pixels(number)
         except InputError:
             return False
         return True
@@ -240,25 +234,22 @@ class SequenceStore:
         key = array.metadata.encode_chunk_key((number // array.chunks[0], *(0,) * (array.ndim - 1)))  # type: ignore
         return (self.path / name / key).is_file()
 
-    def mend_fixed(self, plan: Plan, find: Callable[[], BadPixels | None]) -> None:
+    def mend_fixed(self, plan: Plan) -> None:
         """Writes the arrays that do not wait for pictures again where one is damaged or lost.
-
-        **Arguments:** `find`: finds the bad pixels again, if it is theirs.
 
         **Raises:** as `write_picture`.
         """
 
-        def whole(name: str, values: np.ndarray | None = None) -> bool:
+        def whole(name: str, values: np.ndarray) -> bool:
             try:
                 there = self._read(name, slice(None))
             except InputError:
                 return False
-            return self._has_chunk(name, 0) and (values is None or np.array_equal(there, values))
+            return self._has_chunk(name, 0) and np.array_equal(there, values)
 
-        bad = None if whole("bad_pixels") else find()
         with writing(self.path):
-            for name, values in fixed_arrays(plan, bad).items():
-                if not whole(name, None if name == "bad_pixels" else values):
+            for name, values in fixed_arrays(plan).items():
+                if not whole(name, values):
                     self._array(name)[:] = values
 
     def pictures(self) -> list[Picture]:
@@ -279,6 +270,10 @@ class SequenceStore:
         **Raises:** `InputError` if they are damaged.
         """
         return self._read("velocity", number), self._read("confidence", number)
+
+    def bad_pixels(self, number: int) -> BadPixels:
+        """Pixels that a picture does not use. **Raises:** `InputError` if they are damaged."""
+        return BadPixels(self._read("bad_pixels", number))
 
     def _read(self, name: str, part: Any) -> Any:
         try:

@@ -11,7 +11,6 @@ import pytest
 
 import scsr_opt
 from scsr_opt import Diagnostics, Solution, Stage, Status
-from scsr_opt.calibration.bad_pixels import BadPixels
 from scsr_opt.camera import Recording, tfp, write_recording
 from scsr_opt.cli import main
 from scsr_opt.motion import Motion
@@ -125,7 +124,6 @@ def quick_sequences(patch: pytest.MonkeyPatch) -> list[dict]:
             )
 
     patch.setattr("scsr_opt.sequences.run.reconstruct_sequence", stand_in)
-    patch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
     return calls
 
 
@@ -162,7 +160,6 @@ def solves(here, originals, monkeypatch) -> list[str]:
 
     monkeypatch.setattr(scsr_opt, "reconstruct", one, raising=False)
     monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", one)
-    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: BadPixels.none(task.clip.shape))
     return begun
 
 

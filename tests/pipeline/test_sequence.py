@@ -87,13 +87,25 @@ def test_an_object_takes_its_layer_along():
 
 
 def test_motion_is_found_anew_where_it_changes():
-    """A pan that stops: two recordings, one after the other. Neither motion holds for both."""
+    """A pan that stops: two recordings, one after the other. Neither motion holds for both.
+
+    A picture whose motion is estimated anew finds bad pixels of its own and is that of `reconstruct`, bit for bit; the
+    one that follows it leaves out the same pixels.
+    """
     before = simulated(Translation(PICTURE, velocity=(0.22, -0.34), key=60))
     after = simulated(Static(before.truth(120)), 121)
-    both = Recording.from_array(np.concatenate([before.spikes, after.spikes]))
-    solutions = list(reconstruct_sequence(both, (60, 68, 180, 188), scale=SCALE))
+    spikes = np.concatenate([before.spikes, after.spikes])
+    spikes[:121, 30, 40], spikes[:, 52, 24] = 0, 0  # dead while the scene moves, and all the time
+    solutions = list(reconstruct_sequence(spikes, (60, 68, 180, 188), scale=SCALE))
     assert [solution.diagnostics.motion_carried for solution in solutions] == [False, True, False, True]
     assert solutions[2].velocity is not None and not solutions[2].velocity.any()
+    for place, dead in ((0, (30, 40)), (2, (52, 24))):
+        alone = reconstruct(spikes, scale=SCALE, key=solutions[place].key)
+        np.testing.assert_array_equal(solutions[place].image, alone.image)
+        assert alone.bad_pixels is not None and alone.bad_pixels.mask[dead]
+        for solution in solutions[place : place + 2]:
+            assert solution.bad_pixels is not None
+            np.testing.assert_array_equal(solution.bad_pixels.kind, alone.bad_pixels.kind)
 
 
 @pytest.mark.slow  # like one that changes, with longer solves

@@ -63,6 +63,7 @@ class StandIn:
                 status=Status.non_finite if key == FAILING else Status.converged,
                 diagnostics=Diagnostics(motion_carried=place > 0, iterations=7 + place, strength=0.01),
                 motion=Motion.constant((0.1, key / 1000), (height, width)),
+                bad_pixels=BadPixels.given(np.arange(height * width).reshape(height, width) == key),
             )
 
 
@@ -72,16 +73,6 @@ def stand_in(monkeypatch) -> StandIn:
     made = StandIn()
     monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", made)
     return made
-
-
-@pytest.fixture
-def found_bad_pixels(monkeypatch) -> BadPixels:
-    """Bad pixels that are found in the place of a search."""
-    kind = np.zeros((HEIGHT, WIDTH), np.uint8)
-    kind[2, 3] = 3
-    found = BadPixels(kind)
-    monkeypatch.setattr("scsr_opt.pipeline.sequence._bad_pixels", lambda task: found)
-    return found
 
 
 def files_of(path: Path) -> dict[str, bytes]:

@@ -37,9 +37,11 @@ def test_store_holds_pictures_motion_and_what_is_known_of_them(tmp_path, plan, s
         velocity, confidence = store.motion(number)
         np.testing.assert_array_equal(velocity, solution.velocity)
         np.testing.assert_array_equal(confidence, solution.confidence)
+        assert store.bad_pixels(number).numbers == {**BadPixels.none((8, 12)).numbers, "given": 1}
+        np.testing.assert_array_equal(store.bad_pixels(number).kind, solution.bad_pixels.kind)
     known = store.pictures()[5]
     assert known.key == 23 and known.seconds == pytest.approx(23 / 40_000) and known.motion_from == 19
-    assert known.status is Status.converged and store.bad_pixels is None
+    assert known.status is Status.converged
 
 
 def test_store_opens_in_zarr_and_xarray(tmp_path, plan, stand_in):
@@ -78,22 +80,6 @@ def test_store_places_pixels_in_seconds_and_sensor_pixels(tmp_path, recording, s
     opened = SequenceStore.open(tmp_path / "a.zarr")
     np.testing.assert_allclose(np.mean(opened._read("x", slice(4))), 3)
     np.testing.assert_allclose(opened._read("t", slice(None)), [10 / 40_000, 30 / 40_000])
-
-
-def test_bad_pixels_are_found_once_and_used_by_all_groups(tmp_path, recording, stand_in, found_bad_pixels, monkeypatch):
-    plan = Plan.of(recording, KEYS, scale=2, group=4)
-    used = []
-
-    def watched(*given, options, **named):
-        used.append(options.bad_pixels)
-        return stand_in(*given, options=options, **named)
-
-    monkeypatch.setattr("scsr_opt.sequences.run.reconstruct_sequence", watched)
-    write_sequence(plan, tmp_path / "a.zarr")
-    assert len(used) == 3
-    for bad in used:
-        assert isinstance(bad, BadPixels)
-        np.testing.assert_array_equal(bad.kind, found_bad_pixels.kind)
 
 
 @pytest.mark.parametrize("stop_after", [0, 1, 3, 4, 6, 9])
@@ -170,9 +156,8 @@ def test_a_damaged_chunk_of_the_last_group_is_found(tmp_path, plan, stand_in, fi
 
 
 @pytest.mark.parametrize("damage", [flip, Path.unlink, lambda path: path.write_bytes(b"")])
-@pytest.mark.parametrize("chunk", ["t/c/0", "y/c/0", "x/c/0", "key_frame/c/0", "bad_pixels/c/0/0"])
-def test_a_damaged_array_of_no_picture_is_mended(tmp_path, recording, stand_in, found_bad_pixels, files, chunk, damage):
-    """Lost bad pixels would read as none, and lead to other pictures."""
+@pytest.mark.parametrize("chunk", ["t/c/0", "y/c/0", "x/c/0", "key_frame/c/0"])
+def test_a_damaged_array_of_no_picture_is_mended(tmp_path, recording, stand_in, files, chunk, damage):
     plan = Plan.of(recording, range(3, 20, 4), scale=1, group=4)
     write_sequence(plan, tmp_path / "a.zarr")
     whole = files(tmp_path / "a.zarr")
@@ -359,8 +344,8 @@ def test_a_recording_that_vanishes_is_said_and_loses_nothing(tmp_path, recording
 
 def test_a_store_that_is_replaced_meanwhile_is_left_alone(tmp_path, recording, plan, stand_in):
     """A worker that was lost may come back when another sequence has taken the place of its own."""
-    store = SequenceStore.create(tmp_path / "a.zarr", plan, None, White())
-    SequenceStore.create(tmp_path / "a.zarr", other_plan(recording, "group")[0], None, White())
+    store = SequenceStore.create(tmp_path / "a.zarr", plan, White())
+    SequenceStore.create(tmp_path / "a.zarr", other_plan(recording, "group")[0], White())
     (solution,) = stand_in(recording, [3], scale=2, options=plan.options)
     with pytest.raises(InputError, match="was removed or replaced while it was written"):
         store.write_picture(0, solution)

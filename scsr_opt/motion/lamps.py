@@ -17,6 +17,7 @@ from scsr_opt.camera.samples import Samples
 from scsr_opt.motion.estimators.frames import MotionFrames
 from scsr_opt.motion.light_settings import LightSettings
 from scsr_opt.motion.settings import DEFAULTS, MotionSettings
+from scsr_opt.motion.short_borders import with_short_borders
 from scsr_opt.motion.trajectory import Motion, key_frame_positions
 
 
@@ -117,16 +118,19 @@ def parts_by(
     samples: Samples,
     predicted: Float[np.ndarray, " n"],
     weight: Float[np.ndarray, " n"],
+    coverage: Float[np.ndarray, " n"],
     settings: LightSettings = DEFAULTS.light,
 ) -> Parts:
-    """`parts` of a light with each pixel in the one whose light explains its samples best.
+    """`parts` of a light, the pixels near their edges in those whose light explains their samples, with short borders.
 
-    A sample has measured Y ℓ, ℓ being the mean light of its exposure, of a picture that predicts P there. In another
-    part it would have measured P ℓ'. The misfit Σ ω (Yℓ − Pℓ')² of a pixel's n samples is evidence against that part:
-    n/2 times its logarithm. That of neighbours counts as well, but none for more than is certain.
+    A sample has measured M = Y ℓ, ℓ being the mean light of its exposure, of a picture that predicts P there. In part k
+    it would have measured g P ℓ_k, where g, one number for each pixel, is the error of the prediction: N(1, τ²), with
+    a τ that grows the less was seen of what the pixel sees. The misfit of part k is twice its negative log-likelihood:
+    the least of Σ ω (M − g P ℓ_k)² / σ² + (g − 1)² / τ² over g, plus ln(1 + τ² Σ ω (P ℓ_k)² / σ²).
 
     **Arguments:** `samples`, corrected by `light`; `predicted` (n,), what a picture that was solved for without pixels
-    near edges predicts for them, times the pixel's gain; `weight` (n,).
+    near edges predicts for them, times the pixel's gain; `weight` (n,); `coverage` (n,), the weight of the samples of
+    that picture where each sample looks, 1 in the mean.
     """
     shape, size = parts.number.shape, parts.number.size
     pixel = samples.row * np.int32(shape[1]) + samples.column
@@ -134,14 +138,26 @@ def parts_by(
     start, stop = np.asarray(samples.start), np.asarray(samples.stop)
     duration = np.maximum(stop - start, np.float32(1e-3))
     over = np.stack([(one.gathered(stop) - one.gathered(start)) / duration for one in each])
-    measured = samples.value * np.einsum("kn,kn->n", parts.share[:, parts.number.reshape(-1)[pixel]], over)
+    light_now = np.einsum("kn,kn->n", parts.share[:, parts.number.reshape(-1)[pixel]], over)
+    measured = samples.value * light_now
 
-    def missed(share: Float[np.ndarray, " k"]) -> Float[np.ndarray, " hw"]:
-        return np.bincount(pixel, weight * (measured - predicted * (share @ over)) ** 2, size)
+    def summed(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " hw"]:
+        return np.bincount(pixel, values, size)
 
-    misfit = np.maximum([missed(share) for share in parts.share.T], np.finfo(np.float32).tiny)
-    evidence = np.bincount(pixel, weight > 0, size) / 2 * np.log(misfit / misfit.min(0))
-    evidence = np.minimum(evidence, settings.most_evidence).reshape(-1, *shape)
-    evidence = gaussian_filter(evidence, (0, settings.part_px, settings.part_px), mode="nearest")
+    number, total = summed((weight > 0).astype(float)), summed(weight)
+    usual = summed(weight * (measured - predicted * light_now) ** 2)[number > 0] / number[number > 0]
+    noise = max(float(np.median(usual)) if usual.size else 0.0, float(np.finfo(np.float32).tiny))  # σ²
+    seen = summed(weight * coverage) / np.where(total > 0, total, 1)
+    spread = settings.prediction_error
+    precision = (np.maximum(seen, spread) / spread) ** 2  # 1/τ²
+
+    def misfit(share: Float[np.ndarray, " k"]) -> Float[np.ndarray, "h w"]:
+        there = predicted * (share @ over)
+        square, product, energy = (summed(weight * of) / noise for of in (there**2, there * measured, measured**2))
+        least = energy + precision - (product + precision) ** 2 / (square + precision)
+        return (least + np.log1p(square / precision)).reshape(shape)
+
+    cost = np.stack([misfit(share) / 2 for share in parts.share.T])
+    cost = np.minimum(cost - cost.min(0), settings.most_evidence)
     near = parts.edge(settings.uncertain_px)
-    return parts._replace(number=np.where(near, evidence.argmin(0), parts.number))
+    return parts._replace(number=with_short_borders(cost, parts.number, near, settings.border_evidence))

@@ -81,11 +81,16 @@ class LightUpdate(Update):
             kept, near = assembly.measurements.without(edge), _without(edge, found.outcome.image, task.scale)
             return Updated(replace(assembly, measurements=kept, near=near, term=None), True, anew=True)
         samples, placed = measured.samples, measured.placed
-        predicted, weight = (np.asarray(of)[: samples.row.size] for of in (placed.read(found.blurred), placed.weight))
+        seen = assembly.measurements.placed.seen()  # without the pixels near the edge
+        seen = jnp.kron(
+            seen / jnp.mean(seen), jnp.ones([n // m for n, m in zip(placed.shape, seen.shape, strict=True)])
+        )
+        of_samples = placed.read(found.blurred), placed.weight, placed.read(seen)
+        predicted, weight, coverage = (np.asarray(of)[: samples.row.size] for of in of_samples)
         if assembly.gain is not None:
             predicted = predicted * assembly.gain[samples.row, samples.column]
         measured.let_go()
-        parts = parts_by(light, parts, samples, predicted, weight, settings)
+        parts = parts_by(light, parts, samples, predicted, weight, coverage, settings)
         light = replace(light, share=parts.share[:, parts.number])
         task = replace(task, clip=task.clip._replace(light=light))
         motion, path = assembly.motion, measured.path

@@ -59,12 +59,13 @@ def test_parts_by_picture_moves_the_edge_to_where_it_is(key):
     weight = np.asarray(samples.weight)
     parts = parts_of(light)
     assert parts is not None and (assumed != truth).sum() > 12
-    found = parts_by(light, parts, samples, seen[samples.row, samples.column], weight)
+    everywhere = np.ones(weight.shape)
+    found = parts_by(light, parts, samples, seen[samples.row, samples.column], weight, everywhere)
     wrong = found.number != truth
     assert min(wrong.sum(), (~wrong).sum()) <= 1
     # Pixels far from the edge keep their part, whatever the samples say.
     none = dataclasses.replace(samples, value=np.zeros_like(samples.value))
-    kept = parts_by(light, parts, none, seen[samples.row, samples.column], weight).number
+    kept = parts_by(light, parts, none, seen[samples.row, samples.column], weight, everywhere).number
     far = ~parts.edge(2)
     np.testing.assert_array_equal(kept[far], parts.number[far])
 

@@ -138,6 +138,8 @@ def read_recording(
         raise InputError(f"{file} is a folder, not a recording: name one file in it.")
     reader = _by_ending(file)
     if not file.is_file():
+        if file.exists():
+            raise InputError(f"{file} is a pipe or a device, not a file: scsr sequence - reads frames from a pipe.")
         raise InputError(f"There is no file {file.absolute()}: check the path.")
     if file.stat().st_size == 0:
         raise InputError(f"{file} is empty (0 bytes): record or copy it again.")

@@ -214,6 +214,16 @@ def film_rate(count: int) -> float:
     return min(_USUAL_RATE, count / _LEAST_SECONDS)
 
 
+def stored_rate(path: str | os.PathLike[str], rate: float) -> float:
+    """Pictures per second that the film `path` has in the end: a GIF shows each for a whole number of hundredths of a
+    second."""
+    return 1000.0 / _gif_milliseconds(rate) if as_path(path).suffix.lower() == ".gif" else rate
+
+
+def _gif_milliseconds(rate: float) -> int:
+    return max(round(100.0 / rate), 1) * 10
+
+
 def check_film(
     path: str | os.PathLike[str], *, rate: float | None = None, gamma: float = 1.0, white: float = 1.0
 ) -> None:
@@ -317,7 +327,7 @@ class _Pictures:
 def _write_gif(path: Path, frames: Iterator[np.ndarray], rate: float) -> None:
     from PIL import GifImagePlugin, Image
 
-    milliseconds = max(round(100.0 / rate), 1) * 10
+    milliseconds = _gif_milliseconds(rate)
     with path.open("wb") as stream:
         # Picture by picture: `Image.save` would hold all of them, and make one of those that are equal.
         for number, frame in enumerate(frames):

@@ -6,6 +6,7 @@ not grow with the number of pictures. A group whose worker is lost is solved aga
 """
 
 import logging
+import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from scsr_opt._kernels.memory import ARENAS
 from scsr_opt._threads import cores
 from scsr_opt._validation import whole
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.sequences.plan import Plan
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ _GROUPS_AHEAD = 2
 _LOST_WORKERS = 10
 # Times that workers are started on this machine, if one of them is lost while it starts.
 _STARTS = 3
+# Addresses of a scheduler: a protocol of Dask, a host and a port.
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://(\[[0-9A-Fa-f:.%]+\]|[^\s:/\[\]]+):[0-9]{1,5}")
 # Seconds to wait for a scheduler, and for its first worker.
 _PATIENCE = 30
 
@@ -54,6 +57,10 @@ class Workers:
             raise InputError("Give the number of workers to start, or the address of a scheduler: one of the two.")
         if self.number is not None:
             whole(self.number, "workers", 1)
+        elif not _ADDRESS.fullmatch(str(self.scheduler)):
+            raise InputError(
+                f"The scheduler is {shown(self.scheduler)}, which is no address: give one such as tcp://10.0.0.1:8786."
+            )
         try:
             import distributed  # noqa: F401
         except ImportError:

@@ -65,6 +65,11 @@ def remove(path: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
+def followed(path: Path) -> Path:
+    """What `path` leads to as a symbolic link, or else `path`: locks and replacements are those of the real place."""
+    return Path(os.path.realpath(path)) if os.path.islink(path) else path
+
+
 def beside(path: Path, what: str) -> Path:
     """A hidden place in the folder of a store, for the lock, or for a store that is being made (`new`) or removed
     (`old`)."""

@@ -18,10 +18,18 @@ from jaxtyping import Float
 
 from scsr_opt._files import as_path, check_writable, read_meanwhile, refuse_url, whole_file
 from scsr_opt.camera.white import White
-from scsr_opt.errors import InputError
+from scsr_opt.errors import InputError, shown
 from scsr_opt.progress import NoProgress, Progress
-from scsr_opt.report.pictures import FILM_ENDINGS, PictureFormat, check_film, film_rate, write_film, write_picture
-from scsr_opt.sequences.files import writing
+from scsr_opt.report.pictures import (
+    FILM_ENDINGS,
+    PictureFormat,
+    check_film,
+    film_rate,
+    stored_rate,
+    write_film,
+    write_picture,
+)
+from scsr_opt.sequences.files import followed, writing
 from scsr_opt.sequences.layout import is_store
 from scsr_opt.sequences.store import Picture, SequenceStore
 
@@ -46,8 +54,8 @@ class SequenceFormat:
 
     - `.zarr`: a store (`SequenceStore`).
     - none: a folder with the numbered pictures in `images/` and their times in `times.csv`.
-    - `.npz`: arrays `image` (T, H, W), `velocity`, `confidence`, `key_frame`, `seconds`, `motion_from`, `status`, and
-      numbers `scale`, `readout_rate`, `white`.
+    - `.npz`: arrays `image` (T, H, W), `velocity`, `confidence`, `bad_pixels`, `key_frame`, `seconds`, `motion_from`,
+      `status`, and numbers `scale`, `readout_rate`, `white`.
     - `.npy`: (T, H, W) float32; times in a `.csv` of the same name.
     - `.mp4`, `.gif`: a film.
 
@@ -101,7 +109,9 @@ class SequenceFormat:
         if ending in FILM_ENDINGS:
             check_film(path, rate=made.rate, gamma=made.gamma)
         elif not ending:
-            PictureFormat.of(f"a{STILLS.get(made.bits, '.png')}", bits=made.bits, gamma=made.gamma)
+            if made.bits not in STILLS:
+                raise InputError(f"bits is {shown(bits)}, but the pictures of a folder have 8, 16 or 32: choose one.")
+            PictureFormat.of(f"a{STILLS[made.bits]}", bits=made.bits, gamma=made.gamma)
         return made
 
     @property
@@ -116,7 +126,7 @@ class SequenceFormat:
 
     def film_rate(self, count: int) -> float:
         """Pictures per second of a film of `count` pictures."""
-        return film_rate(count) if self.rate is None else self.rate
+        return stored_rate(self.path, film_rate(count) if self.rate is None else self.rate)
 
     @property
     def ending(self) -> str:
@@ -126,7 +136,7 @@ class SequenceFormat:
     @property
     def store(self) -> Path:
         """The store that the sequence is solved into: `path` itself, or a folder beside it until `path` is written."""
-        return self.path if self.is_store else self.path.with_name(self.path.name + _UNFINISHED)
+        return followed(self.path) if self.is_store else self.path.with_name(self.path.name + _UNFINISHED)
 
     @property
     def outputs(self) -> list[Path]:
@@ -157,14 +167,26 @@ class SequenceFormat:
         for path in self.outputs:
             if not self.ending and os.path.isdir(path):
                 check_writable(path.with_name(f"{path.name}.new"))  # its place, as it is replaced as a whole
-                if not set(os.listdir(path)) <= {TABLE, IMAGES}:
+                other = _other_file(path)
+                if other is not None:
                     raise InputError(
-                        f"{path} is a folder with other files than {IMAGES} and {TABLE}: give another name."
+                        f"{path} is a folder with a file {other}, which is not of a sequence: give another name."
                     )
             else:
                 check_writable(path)
             if path.exists() and not replaced:
                 raise InputError(f"{path} is there already: give --overwrite to replace it, or another name.")
+
+
+def _other_file(folder: Path) -> Path | None:
+    """A file in a folder that a sequence does not write there, relative to it; None if there is none."""
+    stills = tuple(STILLS.values())
+    for path in sorted(folder.rglob("*")):
+        inside = path.relative_to(folder)
+        picture = inside.parent == Path(IMAGES) and path.suffix in stills and path.stem.isdecimal()
+        if not picture and inside not in (Path(TABLE), Path(IMAGES)):
+            return inside
+    return None
 
 
 def export(
@@ -232,7 +254,8 @@ def _write_film(store: SequenceStore, pictures: list[Picture], chosen: SequenceF
 
 
 def _write_folder(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
-    new, old = (chosen.path.with_name(f".{chosen.path.name}.{what}") for what in ("new", "old"))
+    place = followed(chosen.path)
+    new, old = (place.with_name(f".{place.name}.{what}") for what in ("new", "old"))
     white = (store.white.level if chosen.white is None else chosen.white) if chosen.bits == 8 else 1.0
     names = _names(pictures, STILLS[chosen.bits])
     try:
@@ -244,9 +267,9 @@ def _write_folder(store: SequenceStore, pictures: list[Picture], chosen: Sequenc
                 write_picture(new / IMAGES / name, image, bits=chosen.bits, gamma=chosen.gamma, white=white)
         with open(new / TABLE, "w", newline="", encoding="utf-8") as file:
             _write_table(file, pictures, names)
-        if chosen.path.exists():
-            os.replace(chosen.path, old)
-        os.replace(new, chosen.path)
+        if place.exists():
+            os.replace(place, old)
+        os.replace(new, place)
     except OSError as error:
         raise InputError(f"Cannot write {chosen.path}: {(error.strerror or str(error)).lower()}.") from error
     finally:
@@ -283,18 +306,19 @@ def _write_npz(store: SequenceStore, pictures: list[Picture], chosen: SequenceFo
             "image": (store.shape, _images(store, meter)),
             "velocity": ((count, 2, *motion), (store.motion(one)[0] for one in range(count))),
             "confidence": ((count, *motion), (store.motion(one)[1] for one in range(count))),
+            "bad_pixels": ((count, *motion), (store.bad_pixels(one).kind for one in range(count))),
         }
         for name, (shape, items) in large.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                _write_array(file, shape, read_meanwhile(items))
+                _write_array(file, shape, read_meanwhile(items), "|u1" if name == "bad_pixels" else "<f4")
 
 
-def _write_array(file: Any, shape: tuple[int, ...], items: Iterator[np.ndarray]) -> None:
-    """Writes a float32 array of `shape` in the format of NumPy, one item along its first axis at a time."""
-    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+def _write_array(file: Any, shape: tuple[int, ...], items: Iterator[np.ndarray], kind: str = "<f4") -> None:
+    """Writes an array of `shape` in the format of NumPy, one item along its first axis at a time."""
+    header = {"descr": kind, "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_2_0(file, header)
     for item in items:
-        file.write(np.ascontiguousarray(item, "<f4").tobytes())
+        file.write(np.ascontiguousarray(item, kind).tobytes())
 
 
 def _write_table(file: Any, pictures: list[Picture], names: list[str | None]) -> None:

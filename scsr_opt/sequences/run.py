@@ -92,7 +92,7 @@ def write_sequence(
         missing = sum(one.status is None for one in written.pictures)
         if missing:
             raise InputError(f"{missing} of {pictures} pictures are missing in {place}: give the command again.")
-        if chosen.path != place:
+        if not chosen.is_store:
             if len(written.failed) < pictures:
                 chosen.begin()
                 export(store, chosen, overwrite=overwrite, progress=meter)

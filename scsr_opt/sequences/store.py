@@ -76,11 +76,14 @@ class SequenceStore:
         with writing(path):
             for left in (new, old):  # by a run that was killed
                 shutil.rmtree(left, ignore_errors=True)
-            lay_out(new, plan, white)
-            if path.exists():
-                os.replace(path, old)
-            os.replace(new, path)
-            shutil.rmtree(old, ignore_errors=True)
+            try:
+                lay_out(new, plan, white)
+                if path.exists():
+                    os.replace(path, old)
+                os.replace(new, path)
+            finally:
+                for left in (new, old):
+                    shutil.rmtree(left, ignore_errors=True)
         return cls.open(path, write=True)
 
     @classmethod

@@ -121,7 +121,7 @@ REFUSED = [
     (["-o", "a.gif", "--gamma", "-1"], "gamma is -1"),
     (["-o", "a.npz", "--gamma", "2.2"], "gamma is for what is looked at, but a.npz holds linear intensity"),
     (["-o", "out", "--bits", "32", "--gamma", "2.2"], "32-bit pictures hold linear intensity"),
-    (["-o", "out", "--bits", "12"], "12 bits per pixel cannot be stored"),
+    (["-o", "out", "--bits", "12"], "bits is 12, but the pictures of a folder have 8, 16 or 32"),
     (["-o", "out", "--bits", "8.5"], "is not a whole number"),
     (["-o", "a.zarr", "--bits", "8"], "bits is for a folder of pictures, but a.zarr is none"),
     (["-o", "a.gif", "--white", "-1"], "white is -1"),

@@ -204,3 +204,46 @@ def test_a_plan_with_another_white_is_another_sequence_but_an_export_may_have_it
 )
 def test_real_time_of_a_film(every, rate, words):
     assert real_time(40_000.0, every, rate) == f"1 s of the film is {words} of the recording."
+
+
+@pytest.mark.parametrize("name", ["images/holiday.jpg", "images/000003.jpg", "notes.txt", "images/000003/000003.png"])
+def test_folder_with_a_users_file_is_not_replaced(tmp_path, plan, stand_in, name):
+    write_sequence(plan, tmp_path / "a.zarr")
+    file = tmp_path / "made" / name
+    file.parent.mkdir(parents=True)
+    file.write_text("mine")
+    with pytest.raises(InputError, match="is a folder with a file .*, which is not of a sequence: give another name"):
+        export(tmp_path / "a.zarr", tmp_path / "made", overwrite=True)
+    assert file.read_text() == "mine"
+
+
+def test_folder_through_a_link_is_replaced_where_the_link_leads(tmp_path, plan, stand_in):
+    write_sequence(plan, tmp_path / "a.zarr")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "made").symlink_to(tmp_path / "elsewhere")
+    for _ in range(2):
+        export(tmp_path / "a.zarr", tmp_path / "made", overwrite=True)
+    assert (tmp_path / "made").is_symlink() and len(list((tmp_path / "elsewhere" / "images").iterdir())) == 10
+
+
+@pytest.mark.parametrize(
+    ("rate", "stored"), [(1000.0, 100), (60.0, 50), (40.0, 50), (30.0, 100 / 3), (25.0, 25), (0.5, 0.5)]
+)
+def test_film_rate_of_a_gif_is_the_one_it_is_shown_with(tmp_path, plan, stand_in, rate, stored):
+    chosen = SequenceFormat.of(tmp_path / "a.gif", rate=rate)
+    assert chosen.film_rate(10) == pytest.approx(stored)
+    assert SequenceFormat.of(tmp_path / "a.mp4", rate=rate).film_rate(10) == rate
+    write_sequence(plan, tmp_path / "a.zarr")
+    export(tmp_path / "a.zarr", chosen)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.info["duration"] == pytest.approx(1000 / stored)
+
+
+def test_npz_holds_bad_pixels_of_each_picture(tmp_path, plan, stand_in):
+    write_sequence(plan, tmp_path / "a.zarr")
+    export(tmp_path / "a.zarr", tmp_path / "a.npz")
+    store = SequenceStore.open(tmp_path / "a.zarr")
+    with np.load(tmp_path / "a.npz") as arrays:
+        assert arrays["bad_pixels"].dtype == np.uint8
+        for number in (0, 5):
+            np.testing.assert_array_equal(arrays["bad_pixels"][number], store.bad_pixels(number).kind)

@@ -468,3 +468,28 @@ def test_missing_package_is_said_before_the_work(tmp_path, plan, monkeypatch):
     with pytest.raises(InputError, match=r"needs the package zarr.*pip install 'scsr-opt\[sequence\]'"):
         write_sequence(plan, tmp_path / "a.zarr")
     assert os.listdir(tmp_path) == ["noise.npy"]
+
+
+def test_store_through_a_link_has_one_lock_and_is_replaced_where_the_link_leads(tmp_path, plan, recording, stand_in):
+    link, place = tmp_path / "link.zarr", tmp_path / "elsewhere" / "real.zarr"
+    place.parent.mkdir()
+    write_sequence(plan, place)
+    link.symlink_to(place)
+    with held(place), pytest.raises(InputError, match="is being written by another run"):
+        write_sequence(plan, link)
+    assert write_sequence(plan, link).there == 10
+    for which in ("group", "scale", "group"):
+        write_sequence(other_plan(recording, which)[0], link, overwrite=True)
+    assert link.is_symlink() and SequenceStore.open(place).path == place
+    assert [one.name for one in place.parent.iterdir()] == ["real.zarr"]
+
+
+def test_creation_that_fails_leaves_nothing(tmp_path, plan, stand_in, monkeypatch):
+    def full(path, *_):
+        path.mkdir()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("scsr_opt.sequences.store.lay_out", full)
+    with pytest.raises(InputError, match="no space left on device"):
+        write_sequence(plan, tmp_path / "a.zarr")
+    assert [name for name in os.listdir(tmp_path) if name.startswith((".", "a."))] == []

@@ -49,12 +49,22 @@ def test_workers_go_on_with_a_store(tmp_path, plan, stand_in, files, cluster):
     assert files(tmp_path / "a.zarr") == files(tmp_path / "alone.zarr")
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "tcp://127.0.0.1:notaport", ""])
-def test_a_scheduler_that_is_not_there_is_said(tmp_path, plan, stand_in, monkeypatch, address):
+def test_a_scheduler_that_is_not_there_is_said(tmp_path, plan, stand_in, monkeypatch):
     monkeypatch.setattr("scsr_opt.sequences.cluster._PATIENCE", 1)
     with pytest.raises(InputError, match="No scheduler with workers answered at"):
-        write_sequence(plan, tmp_path / "a.zarr", workers=Workers(scheduler=address))
+        write_sequence(plan, tmp_path / "a.zarr", workers=Workers(scheduler="tcp://127.0.0.1:1"))
     assert stand_in.solved == []
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:notaport", "", "http://x:3", "tcp://a:b:1"])
+def test_workers_with_an_address_that_is_none_is_refused(address):
+    with pytest.raises(InputError, match="which is no address: give one such as tcp://10.0.0.1:8786"):
+        Workers(scheduler=address)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:8786", "tls://node-3.local:1", "tcp://[::1]:8786"])
+def test_workers_with_an_address_takes_it(address):
+    assert Workers(scheduler=address).scheduler == address
 
 
 def test_a_scheduler_without_workers_is_said(tmp_path, plan, stand_in, monkeypatch):

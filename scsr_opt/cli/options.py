@@ -251,6 +251,8 @@ def moments(
     **Raises:** `InputError` for frames that the recording has not, or a step below 1.
     """
     last = recording.frames if stop is None else stop
+    if stop is not None and 0 <= stop <= start:
+        raise InputError(f"--start is {start} and --stop is {stop}, but frames go from --start to before --stop.")
     if not 0 <= start < last <= recording.frames:
         raise InputError(
             f"Frames {start} to {last} (excluded) are not in the recording, which has {recording.frames} frames: "

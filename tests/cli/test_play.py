@@ -61,7 +61,10 @@ def test_play_a_film(scsr, file):
         (["-o", "a.gif", "--key", "3"], "--key and --bits are for pictures, but a.gif is a film"),
         (["-o", "a.png", "--start", "3"], "--start, --stop, --step and --rate are for films, but a.png is a picture"),
         (["-o", "a.png", "--rate", "5"], "--start, --stop, --step and --rate are for films"),
-        (["-o", "a.gif", "--start", "20", "--stop", "10"], "--start is 20 and --stop is 10, but frames go from --start to before --stop"),
+        (
+            ["-o", "a.gif", "--start", "20", "--stop", "10"],
+            "--start is 20 and --stop is 10, but frames go from --start to before --stop",
+        ),
         (["-o", "a.gif", "--stop", "32"], "choose 0 <= --start < --stop <= 31"),
         (["-o", "a.gif", "--step", "0"], "--step is 0"),
         (["-o", "a.gif", "--rate", "0"], "rate is 0"),

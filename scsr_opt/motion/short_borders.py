@@ -24,9 +24,12 @@ def with_short_borders(
 ) -> Int[np.ndarray, "h w"]:
     """Labels l that make Σ cost[l(p), p] + `border` · (length of the borders between labels, pixels) small.
 
-    With two labels the result is the minimum; with more it is one that no expansion of a label lowers.
+    With two labels the result is the minimum; with more it is what five rounds of expansions of each label find.
 
-    **Arguments:** `label`, where to begin; only that of `free` pixels changes.
+    **Arguments:** `cost` of each label at each pixel, in any unit; `label`, where to begin: only that of `free` pixels
+    changes; `border`, cost of a border as long as the side of a pixel.
+
+    **Returns:** the labels, (h, w).
     """
     for _ in range(_MOST_ROUNDS):
         before = label

@@ -65,8 +65,9 @@ def remove(path: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def followed(path: Path) -> Path:
-    """What `path` leads to as a symbolic link, or else `path`: locks and replacements are those of the real place."""
+def real_place(path: Path) -> Path:
+    """The place on disk that is locked and replaced for the output `path`: the end of a symbolic link, so that all of
+    its names have one lock and the link stays; `path` itself where it is none."""
     return Path(os.path.realpath(path)) if os.path.islink(path) else path
 
 

@@ -29,7 +29,7 @@ from scsr_opt.report.pictures import (
     write_film,
     write_picture,
 )
-from scsr_opt.sequences.files import followed, writing
+from scsr_opt.sequences.files import real_place, writing
 from scsr_opt.sequences.layout import is_store
 from scsr_opt.sequences.store import Picture, SequenceStore
 
@@ -136,7 +136,7 @@ class SequenceFormat:
     @property
     def store(self) -> Path:
         """The store that the sequence is solved into: `path` itself, or a folder beside it until `path` is written."""
-        return followed(self.path) if self.is_store else self.path.with_name(self.path.name + _UNFINISHED)
+        return real_place(self.path) if self.is_store else self.path.with_name(self.path.name + _UNFINISHED)
 
     @property
     def outputs(self) -> list[Path]:
@@ -254,7 +254,7 @@ def _write_film(store: SequenceStore, pictures: list[Picture], chosen: SequenceF
 
 
 def _write_folder(store: SequenceStore, pictures: list[Picture], chosen: SequenceFormat, meter: Progress) -> None:
-    place = followed(chosen.path)
+    place = real_place(chosen.path)
     new, old = (place.with_name(f".{place.name}.{what}") for what in ("new", "old"))
     white = (store.white.level if chosen.white is None else chosen.white) if chosen.bits == 8 else 1.0
     names = _names(pictures, STILLS[chosen.bits])
